@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a scene calls for; the bits are those of svgf.Effects, which documents each.
+#pragma once
+
+#include <cstdint>
+
+#include "core/platform.h"
+
+namespace svgf {
+
+enum class Effects : std::uint32_t {
+    none = 0,
+    textures = 1u << 0,
+    specular = 1u << 1,
+    transmission = 1u << 2,
+    mesh_lights = 1u << 3,
+    delta_lights = 1u << 4,
+    area_lights = 1u << 5,
+    environment = 1u << 6,
+    camera_motion = 1u << 7,
+    object_motion = 1u << 8,
+    deformation = 1u << 9,
+    all = (1u << 10) - 1,
+};
+
+SVGF_HD constexpr Effects operator|(Effects a, Effects b) { return Effects(std::uint32_t(a) | std::uint32_t(b)); }
+SVGF_HD constexpr Effects operator&(Effects a, Effects b) { return Effects(std::uint32_t(a) & std::uint32_t(b)); }
+SVGF_HD constexpr Effects without(Effects a, Effects b) { return Effects(std::uint32_t(a) & ~std::uint32_t(b)); }
+
+// Whether a kernel compiled for `kernel` simulates all of `scene`.
+SVGF_HD constexpr bool covers(Effects kernel, Effects scene) { return (kernel & scene) == scene; }
+
+}  // namespace svgf

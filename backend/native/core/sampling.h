@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// Random numbers, and the maps from the unit square to disk, hemisphere, cone and triangle.
+//
+// The numbers are a function of (pixel, seed, sample, pair), in integers, so every device draws the same ones. Each
+// pair of dimensions of each pixel is a 2D Sobol sequence, shuffled and scrambled on its own [Burley20]: within a
+// pixel the samples of one pair are stratified, between pairs and pixels they are independent.
+#pragma once
+
+#include "core/bits.h"
+#include "core/vec.h"
+
+namespace svgf {
+
+SVGF_HD inline std::uint32_t mix_bits(std::uint32_t x) {
+    x ^= x >> 16;
+    x *= 0x7feb352du;
+    x ^= x >> 15;
+    x *= 0x846ca68bu;
+    return x ^ (x >> 16);
+}
+
+// Nested uniform scrambling: each bit is flipped by a hash of the bits above it [Burley20, Section 3.2].
+SVGF_HD inline std::uint32_t owen_scramble(std::uint32_t x, std::uint32_t seed) {
+    x = reverse_bits(x);
+    x ^= x * 0x3d20adeau;
+    x += seed;
+    x *= (seed >> 16) | 1u;
+    x ^= x * 0x05526c56u;
+    x ^= x * 0x53a22864u;
+    return reverse_bits(x);
+}
+
+// The second Sobol dimension of the index whose reversed bits (the first dimension) are given. Its generator matrix is
+// Pascal's triangle modulo 2, which factors into one masked shift per bit of the bit number.
+SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index) {
+    std::uint32_t x = reversed_index;
+    x ^= x << 16;
+    x ^= (x & 0x00ff00ffu) << 8;
+    x ^= (x & 0x0f0f0f0fu) << 4;
+    x ^= (x & 0x33333333u) << 2;
+    return x ^ ((x & 0x55555555u) << 1);
+}
+
+// 24 bits: exact in a float, and below 1.
+SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
+
+// Names of the pairs. Those of a path's vertex follow each other; vertex 0 is the first hit.
+enum class SamplePair : std::uint32_t { pixel = 0, direction = 1, lobe_and_roulette = 2, light_point = 3, light = 4 };
+
+// All random numbers of one sample of one pixel.
+struct Sampler {
+    std::uint32_t pixel_key, sample;
+
+    SVGF_HD Sampler(int x, int y, int width, std::uint32_t seed, std::uint32_t sample)
+        : pixel_key(mix_bits((std::uint32_t(y) * std::uint32_t(width) + std::uint32_t(x)) ^ mix_bits(seed))),
+          sample(sample) {}
+
+    SVGF_HD Vec2 pair(SamplePair name, int vertex = 0) const {
+        const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
+        const std::uint32_t key = mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
+        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        const std::uint32_t second = sobol_second_dimension(first);
+        return {unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u))),
+                unit_float(owen_scramble(second, mix_bits(key ^ 0x63d83595u)))};
+    }
+};
+
+// Orthonormal frame around a unit vector [Duff17].
+struct Frame {
+    Vec3 x, y, z;
+
+    SVGF_HD explicit Frame(Vec3 axis) : z(axis) {
+        const float sign = std::copysign(1.0f, axis.z);
+        const float a = -1.0f / (sign + axis.z);
+        const float b = axis.x * axis.y * a;
+        x = {1.0f + sign * axis.x * axis.x * a, sign * b, -sign * axis.x};
+        y = {b, sign + axis.y * axis.y * a, -axis.y};
+    }
+
+    SVGF_HD Vec3 to_world(Vec3 v) const { return x * v.x + y * v.y + z * v.z; }
+    SVGF_HD Vec3 to_local(Vec3 v) const { return {dot(x, v), dot(y, v), dot(z, v)}; }
+};
+
+// Concentric map, area preserving [Shirley97].
+SVGF_HD inline Vec2 sample_unit_disk(Vec2 u) {
+    const float a = 2.0f * u.x - 1.0f, b = 2.0f * u.y - 1.0f;
+    if (a == 0.0f && b == 0.0f) return {};
+    const bool wide = std::fabs(a) > std::fabs(b);
+    const float radius = wide ? a : b;
+    const float angle = wide ? (pi / 4) * (b / a) : (pi / 2) - (pi / 4) * (a / b);
+    return {radius * std::cos(angle), radius * std::sin(angle)};
+}
+
+// Density cos / pi, around +z.
+SVGF_HD inline Vec3 sample_cosine_hemisphere(Vec2 u) {
+    const Vec2 d = sample_unit_disk(u);
+    return {d.x, d.y, std::sqrt(max(0.0f, 1.0f - dot(d, d)))};
+}
+
+// Uniform directions around +z within the cone of the given 1 - cosine; 2 is the whole sphere. Works with 1 - cos
+// throughout, so that a cone as narrow as the sun's keeps its precision.
+SVGF_HD inline Vec3 sample_cone(Vec2 u, float one_minus_cosine) {
+    const float height = u.x * one_minus_cosine;
+    const float radius = std::sqrt(max(0.0f, height * (2.0f - height)));
+    const float angle = 2.0f * pi * u.y;
+    return {radius * std::cos(angle), radius * std::sin(angle), 1.0f - height};
+}
+
+// Weights of the two edges for a uniform point on a triangle: vertex + edge1 * x + edge2 * y.
+SVGF_HD inline Vec2 sample_triangle(Vec2 u) {
+    const float root = std::sqrt(u.x);
+    return {root * (1.0f - u.y), root * u.y};
+}
+
+// Weight of a technique with density `own` against one with density `other` [Veach97, Section 9.2.4], exponent 2. The
+// ratio is squared, not the densities: those overflow.
+SVGF_HD inline float power_heuristic(float own, float other) {
+    if (!(own > 0.0f)) return 0.0f;
+    const float ratio = other / own;
+    return 1.0f / (1.0f + ratio * ratio);
+}
+
+}  // namespace svgf

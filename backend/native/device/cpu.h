@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// The CPU device: stages run in tiles on all cores.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "device/error.h"
+#include "device/threads.h"
+
+namespace svgf {
+
+class Device : public std::enable_shared_from_this<Device> {
+public:
+    explicit Device(int index = 0);
+    Device(const Device&) = delete;
+    Device& operator=(const Device&) = delete;
+
+    void* allocate(size_t bytes, const char* what);
+    void release(void* data) noexcept;
+    void upload(void* device, const void* host, size_t bytes);
+    void download(void* host, const void* device, size_t bytes);
+    void copy(void* to, const void* from, size_t bytes);
+    void clear(void* device, size_t bytes);
+    void synchronize() {}
+
+    template <class Stage>
+    void launch(const char* name, int width, int height, const Stage& stage) {
+        const int columns = (width + tile_size - 1) / tile_size, rows = (height + tile_size - 1) / tile_size;
+        timed(name, size_t(columns) * rows, 1, [&](size_t begin, size_t end) {
+            for (size_t tile = begin; tile < end; ++tile) {
+                const int x0 = int(tile % columns) * tile_size, y0 = int(tile / columns) * tile_size;
+                const int x1 = std::min(x0 + tile_size, width), y1 = std::min(y0 + tile_size, height);
+                for (int y = y0; y < y1; ++y)
+                    for (int x = x0; x < x1; ++x) stage(x, y);
+            }
+        });
+    }
+
+    template <class Stage>
+    void launch(const char* name, int count, const Stage& stage) {
+        timed(name, size_t(std::max(count, 0)), 4096, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) stage(int(i));
+        });
+    }
+
+    // Milliseconds per name since the last call, in launch order.
+    std::vector<std::pair<std::string, double>> take_timings() { return std::exchange(timings_, {}); }
+
+    // May be called from any thread: the stage that runs, or else the next one, throws Interrupted.
+    void interrupt() { interrupted_ = true; }
+    // Forgets an interrupt that came while nothing ran.
+    void clear_interrupt() { interrupted_ = false; }
+
+private:
+    static constexpr int tile_size = 16;
+
+    template <class Body>
+    void timed(const char* name, size_t count, size_t grain, const Body& body) {
+        const auto start = std::chrono::steady_clock::now();
+        parallel_for(count, grain, [&](size_t begin, size_t end) {
+            if (!interrupted_) body(begin, end);
+        });
+        // Used up here, so that the next frame runs.
+        if (interrupted_.exchange(false)) throw Interrupted(name);
+        add_timing(name, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
+    }
+
+    void add_timing(const char* name, double milliseconds);
+
+    std::vector<std::pair<std::string, double>> timings_;
+    std::atomic<bool> interrupted_{false};
+};
+
+}  // namespace svgf

@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdlib>
+
+#include "device/device.h"
+
+#if __has_include(<nvtx3/nvToolsExt.h>)
+#include <nvtx3/nvToolsExt.h>
+#define SVGF_RANGE_PUSH(name) nvtxRangePushA(name)
+#define SVGF_RANGE_POP() nvtxRangePop()
+#else
+#define SVGF_RANGE_PUSH(name) (void)(name)
+#define SVGF_RANGE_POP() (void)0
+#endif
+
+namespace svgf {
+namespace {
+
+std::string hint_for(cudaError_t error) {
+    switch (error) {
+        case cudaErrorInsufficientDriver:
+            return "Update the NVIDIA driver: CUDA 13 needs 580 or newer.";
+        case cudaErrorNoDevice:
+        case cudaErrorInvalidDevice:
+            return "Use device \"cpu\", or check that nvidia-smi shows the GPU.";
+        case cudaErrorNoKernelImageForDevice:
+            return "Install svgf on this machine again, so that it is compiled for this GPU (compute capability 7.5 or newer).";
+        default:
+            return "Use device \"cpu\" for the rest of this session, or start it again.";
+    }
+}
+
+}  // namespace
+
+Device::Device(int index) : index_(index) {
+    check(cudaSetDevice(index), "");
+    check(cudaStreamCreate(&stream_), "");
+    cudaMemPool_t memory_pool;
+    check(cudaDeviceGetDefaultMemPool(&memory_pool, index), "");
+    uint64_t keep_everything = UINT64_MAX;
+    check(cudaMemPoolSetAttribute(memory_pool, cudaMemPoolAttrReleaseThreshold, &keep_everything), "");
+    const char* wanted = std::getenv("SVGF_SYNCHRONIZE");
+    synchronize_each_stage_ = wanted && wanted[0] == '1';
+}
+
+Device::~Device() {
+    // The process may be on its way out, or the device lost: nothing here may throw.
+    if (!stream_) return;
+    cudaStreamSynchronize(stream_);
+    for (auto& span : spans_) {
+        cudaEventDestroy(span.begin);
+        cudaEventDestroy(span.end);
+    }
+    for (auto event : free_events_) cudaEventDestroy(event);
+    cudaStreamDestroy(stream_);
+}
+
+void Device::check(cudaError_t error, const char* stage) const {
+    if (error == cudaSuccess) return;
+    cudaGetLastError();  // a launch error that is not sticky would otherwise be found again by the next check
+    const std::string where = stage[0] ? "Stage \"" + std::string(stage) + "\" failed on CUDA: " : "CUDA: ";
+    throw DeviceError(stage, where + cudaGetErrorString(error) + ".", hint_for(error));
+}
+
+void* Device::allocate(size_t bytes, const char* what) {
+    cudaSetDevice(index_);  // the calling thread may have another one
+    void* data = nullptr;
+    const cudaError_t error = cudaMallocAsync(&data, bytes ? bytes : 1, stream_);
+    if (error == cudaErrorMemoryAllocation) {
+        cudaGetLastError();
+        size_t free_bytes = 0, total_bytes = 0;
+        cudaMemGetInfo(&free_bytes, &total_bytes);
+        throw OutOfMemory(last_stage_,
+                          "The GPU has no room for " + std::string(what) + " (" + std::to_string(bytes >> 20) + " MiB; " +
+                              std::to_string(free_bytes >> 20) + " of " + std::to_string(total_bytes >> 20) + " MiB free).",
+                          "Render smaller, close other programs that use the GPU, or use device \"cpu\".");
+    }
+    check(error, last_stage_);
+    return data;
+}
+
+void Device::release(void* data) noexcept {
+    cudaFreeAsync(data, stream_);
+}
+
+void Device::upload(void* device, const void* host, size_t bytes) {
+    if (bytes) check(cudaMemcpyAsync(device, host, bytes, cudaMemcpyHostToDevice, stream_), last_stage_);
+}
+
+void Device::download(void* host, const void* device, size_t bytes) {
+    if (bytes) check(cudaMemcpyAsync(host, device, bytes, cudaMemcpyDeviceToHost, stream_), last_stage_);
+    synchronize();
+}
+
+void Device::copy(void* to, const void* from, size_t bytes) {
+    if (bytes) check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToDevice, stream_), last_stage_);
+}
+
+void Device::clear(void* device, size_t bytes) {
+    if (bytes) check(cudaMemsetAsync(device, 0, bytes, stream_), last_stage_);
+}
+
+void Device::synchronize() { check(cudaStreamSynchronize(stream_), last_stage_); }
+
+cudaEvent_t Device::new_event() {
+    if (!free_events_.empty()) {
+        const cudaEvent_t event = free_events_.back();
+        free_events_.pop_back();
+        return event;
+    }
+    cudaEvent_t event;
+    check(cudaEventCreate(&event), last_stage_);
+    return event;
+}
+
+void Device::begin_stage(const char* name) {
+    if (interrupted_.exchange(false)) throw Interrupted(name);
+    last_stage_ = name;
+    cudaSetDevice(index_);
+    SVGF_RANGE_PUSH(name);
+    spans_.push_back({name, new_event(), new_event()});
+    check(cudaEventRecord(spans_.back().begin, stream_), name);
+}
+
+void Device::end_stage(const char* name) {
+    SVGF_RANGE_POP();
+    const cudaError_t error = cudaGetLastError();
+    if (error != cudaSuccess) spans_.pop_back();  // its end would never come
+    check(error, name);
+    check(cudaEventRecord(spans_.back().end, stream_), name);
+    if (synchronize_each_stage_) check(cudaStreamSynchronize(stream_), name);
+}
+
+std::vector<std::pair<std::string, double>> Device::take_timings() {
+    synchronize();
+    std::vector<std::pair<std::string, double>> timings;
+    for (const auto& span : spans_) {
+        float milliseconds = 0;
+        check(cudaEventElapsedTime(&milliseconds, span.begin, span.end), span.name);
+        free_events_.push_back(span.begin);
+        free_events_.push_back(span.end);
+        bool known = false;
+        for (auto& [name, total] : timings)
+            if (name == span.name) {
+                total += milliseconds;
+                known = true;
+            }
+        if (!known) timings.emplace_back(span.name, milliseconds);
+    }
+    spans_.clear();
+    return timings;
+}
+
+std::vector<DeviceInfo> list_devices() {
+    int count = 0;
+    const cudaError_t error = cudaGetDeviceCount(&count);
+    if (error != cudaSuccess || count == 0) {
+        cudaGetLastError();
+        const cudaError_t reason = error == cudaSuccess ? cudaErrorNoDevice : error;
+        int driver = 0;  // stays 0 where there is no driver at all, which the runtime calls an insufficient one
+        cudaDriverGetVersion(&driver);
+        if (driver == 0) return {{"-", 0, "There is no NVIDIA driver. Install version 580 or newer to use a GPU."}};
+        return {{"-", 0, std::string(cudaGetErrorString(reason)) + ". " + hint_for(reason)}};
+    }
+    std::vector<DeviceInfo> devices;
+    for (int i = 0; i < count; ++i) {
+        cudaDeviceProp properties;
+        if (cudaGetDeviceProperties(&properties, i) != cudaSuccess) continue;
+        DeviceInfo info{properties.name, properties.totalGlobalMem, ""};
+        if (properties.major * 10 + properties.minor < 75)
+            info.reason = "Its compute capability is below 7.5. Use device \"cpu\".";
+        devices.push_back(info);
+    }
+    return devices;
+}
+
+}  // namespace svgf

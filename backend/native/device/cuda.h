@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// The CUDA device: one stream, and an event on each side of a launch for the timings.
+#pragma once
+
+#include <cuda_runtime_api.h>
+
+#include <atomic>
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "device/error.h"
+
+namespace svgf {
+
+#if defined(__CUDACC__)
+template <class Stage>
+__global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage stage, int width, int height) {
+    const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y;
+    if (x < width && y < height) stage(x, y);
+}
+
+template <class Stage>
+__global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage stage, int count) {
+    const int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i < count) stage(i);
+}
+#endif
+
+class Device : public std::enable_shared_from_this<Device> {
+public:
+    explicit Device(int index = 0);
+    ~Device();
+    Device(const Device&) = delete;
+    Device& operator=(const Device&) = delete;
+
+    // Memory is ordered on the device's stream and comes from the driver's pool, so that a frame's images cost no
+    // driver call after the first frame.
+    void* allocate(size_t bytes, const char* what);
+    void release(void* data) noexcept;
+    void upload(void* device, const void* host, size_t bytes);
+    void download(void* host, const void* device, size_t bytes);
+    void copy(void* to, const void* from, size_t bytes);
+    void clear(void* device, size_t bytes);
+    void synchronize();
+
+#if defined(__CUDACC__)
+    template <class Stage>
+    void launch(const char* name, int width, int height, const Stage& stage) {
+        if (width <= 0 || height <= 0) return;
+        begin_stage(name);
+        // A warp covers 8 x 4 pixels: neighbouring paths and filter taps share cache lines in both directions.
+        const dim3 block(8, 16), grid((width + block.x - 1) / block.x, (height + block.y - 1) / block.y);
+        run_stage<<<grid, block, 0, stream_>>>(stage, width, height);
+        end_stage(name);
+    }
+
+    template <class Stage>
+    void launch(const char* name, int count, const Stage& stage) {
+        if (count <= 0) return;
+        begin_stage(name);
+        run_stage<<<(count + 127) / 128, 128, 0, stream_>>>(stage, count);
+        end_stage(name);
+    }
+#endif
+
+    // Milliseconds per name since the last call, in launch order. Waits for the device.
+    std::vector<std::pair<std::string, double>> take_timings();
+
+    // May be called from any thread: the next launch throws Interrupted. Kernels are short; a running one ends.
+    void interrupt() { interrupted_ = true; }
+    // Forgets an interrupt that came while nothing ran.
+    void clear_interrupt() { interrupted_ = false; }
+
+    int index() const { return index_; }
+
+private:
+    struct Span {
+        const char* name;
+        cudaEvent_t begin, end;
+    };
+
+    void begin_stage(const char* name);
+    void end_stage(const char* name);
+    void check(cudaError_t error, const char* stage) const;
+    cudaEvent_t new_event();
+
+    int index_ = 0;
+    // A blocking stream: it keeps order with the legacy default stream, on which CuPy and PyTorch work by default, so
+    // arrays can be handed over in both directions without waiting.
+    cudaStream_t stream_ = nullptr;
+    bool synchronize_each_stage_ = false;  // SVGF_SYNCHRONIZE=1: the stage that failed is the one named
+    const char* last_stage_ = "";
+    std::vector<Span> spans_;
+    std::vector<cudaEvent_t> free_events_;
+    std::atomic<bool> interrupted_{false};
+};
+
+}  // namespace svgf
