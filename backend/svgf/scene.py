@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene as plain data: what a frame needs to be traced, and nothing of who made it.
+
+Conventions, used everywhere in svgf:
+
+- World space is Blender's: right-handed, +Z up, metres. Camera space looks along -Z with +Y up.
+- Transforms are row-major 3x4 float64 matrices [R | t] that map column vectors: ``p_world = R @ p_object + t``.
+  They are float64 because scenes far from the origin lose their precision in float32; the renderer makes
+  them relative to the camera before it rounds them.
+- Colours are linear Rec.709. Radiance is W / (m^2 sr) per channel, power is W per channel.
+- Angles are radians.
+- ``previous_*`` is the state at the previous frame and equals the current state where nothing moves.
+- Frames of one animation share the objects (``is``) that do not change between them; ``Renderer.update`` and
+  ``save`` rely on that identity to upload and store them once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum, IntEnum
+
+import numpy as np
+
+
+class Interpolation(IntEnum):
+    """How a texture is read between texels."""
+
+    CLOSEST = 0
+    LINEAR = 1
+
+
+class Extension(IntEnum):
+    """What a texture holds outside the unit square, as Blender's Image Texture node names it."""
+
+    REPEAT = 0
+    EXTEND = 1
+    CLIP = 2
+    MIRROR = 3
+
+
+class LightKind(IntEnum):
+    POINT = 0
+    SUN = 1
+    SPOT = 2
+    RECTANGLE = 3
+    ELLIPSE = 4
+
+
+class Projection(Enum):
+    PERSPECTIVE = "perspective"
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in object space, shared by any number of instances.
+
+    positions: float32 [V, 3], metres.
+    triangles: int32 [T, 3], indices into positions, counter-clockwise seen from the front.
+    normals: float32 [T, 3, 3], unit shading normal of each corner (zero vectors mean: use the face normal).
+    uvs: float32 [T, 3, 2] texture coordinates of each corner, (0, 0) at the image's bottom left; None without a UV map.
+    material_slots: int32 [T], index into the material list of the instance.
+    previous_positions: float32 [V, 3] at the previous frame where the mesh deforms, else None.
+    """
+
+    name: str
+    positions: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+    material_slots: np.ndarray
+    uvs: np.ndarray | None = None
+    previous_positions: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """All placements of meshes, one row each (N rows).
+
+    mesh: int32 [N], index into Scene.meshes.
+    object_to_world, previous_object_to_world: float64 [N, 3, 4].
+    object_id: int32 [N], > 0, the same for the same object in every frame; 0 is the background.
+    material_start: int32 [N]; material of a triangle = material_table[material_start[n] + material_slots[t]].
+    material_table: int32 [M], indices into Scene.materials.
+    """
+
+    mesh: np.ndarray
+    object_to_world: np.ndarray
+    previous_object_to_world: np.ndarray
+    object_id: np.ndarray
+    material_start: np.ndarray
+    material_table: np.ndarray
+
+
+@dataclass(frozen=True)
+class Material:
+    """The inputs of Blender's Principled BSDF that svgf simulates; names and defaults are Blender's.
+
+    base_color, specular_tint: linear RGB in [0, 1]. base_color_texture: index into Scene.textures, -1 for none; it
+    replaces base_color. metallic, roughness, transmission, specular_ior_level: [0, 1]. ior: >= 1 (1: no interface).
+    emission: radiance per channel (colour times strength), >= 0.
+    """
+
+    name: str = "Default"
+    base_color: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    base_color_texture: int = -1
+    metallic: float = 0.0
+    roughness: float = 0.5
+    ior: float = 1.5
+    transmission: float = 0.0
+    specular_ior_level: float = 0.5
+    specular_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """pixels: [H, W, 4], row 0 at the bottom as Blender stores it; uint8 (sRGB if srgb is set, else linear) or
+    float32 (linear, srgb must be False). uint8 sRGB texels are interpolated first and decoded after, as Cycles does."""
+
+    name: str
+    pixels: np.ndarray
+    srgb: bool
+    interpolation: Interpolation = Interpolation.LINEAR
+    extension: Extension = Extension.REPEAT
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """One lamp, with Blender's units.
+
+    power: W per channel (colour times power); a sun's is irradiance, W / m^2 on a surface that faces it.
+    light_to_world: float64 [3, 4], no scale; a sun, spot or area light shines along its -Z.
+    size: POINT, SPOT: radius (m) in size[0]; SUN: angular diameter (rad) in size[0]; RECTANGLE, ELLIPSE: full widths (m) along X, Y.
+    spot_angle: full cone angle (rad). spot_blend: [0, 1], share of the cone that fades.
+    soft_falloff: a POINT or SPOT is a disk that faces whatever it lights, Blender's default, instead of a sphere: light
+    then does not grow without bound close to it.
+    """
+
+    name: str
+    kind: LightKind
+    power: tuple[float, float, float]
+    light_to_world: np.ndarray
+    size: tuple[float, float] = (0.0, 0.0)
+    spot_angle: float = np.pi / 4
+    spot_blend: float = 0.15
+    soft_falloff: bool = False
+
+
+@dataclass(frozen=True)
+class World:
+    """radiance: per channel, the same from every direction, >= 0."""
+
+    radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """camera_to_world: float64 [3, 4], rotation and translation only.
+
+    window: (left, right, bottom, top) of the image on the plane one unit in front of the camera, in camera space; it
+    holds focal length, sensor fit, shift and pixel aspect all at once. clip: (near, far) planar distances in metres.
+    """
+
+    camera_to_world: np.ndarray
+    window: tuple[float, float, float, float]
+    clip: tuple[float, float] = (0.01, 1000.0)
+    projection: Projection = Projection.PERSPECTIVE
+
+
+@dataclass(frozen=True)
+class RenderDefaults:
+    """What the file says about the render; command line and Settings override it.
+
+    bounces: Cycles' total light bounces (0: direct light only). exposure: film exposure, a factor on radiance.
+    """
+
+    width: int = 960
+    height: int = 540
+    frames_per_second: float = 24.0
+    bounces: int = 12
+    exposure: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One frame of a scene.
+
+    cut: the camera or the scene jumped since the previous frame, so nothing of that frame can be reused.
+    warnings: one sentence for each thing of the source that svgf does not simulate.
+    """
+
+    meshes: tuple[Mesh, ...]
+    instances: Instances
+    materials: tuple[Material, ...]
+    camera: Camera
+    previous_camera: Camera
+    textures: tuple[Texture, ...] = ()
+    lights: tuple[Light, ...] = ()
+    world: World = World()
+    frame: int = 1
+    cut: bool = False
+    name: str = "scene"
+    defaults: RenderDefaults = RenderDefaults()
+    warnings: tuple[str, ...] = field(default=())
+
+    def at_rest(self) -> Scene:
+        """The same instant with everything standing still: each previous state is the current one."""
+        return replace(
+            self,
+            meshes=tuple(
+                mesh if mesh.previous_positions is None else replace(mesh, previous_positions=None)
+                for mesh in self.meshes
+            ),
+            instances=replace(self.instances, previous_object_to_world=self.instances.object_to_world),
+            previous_camera=self.camera,
+            cut=False,
+        )
+
+    def save(self, path) -> None:
+        """Writes this frame to an .svgf file; see ``svgf.save``."""
+        from .scene_file import save
+
+        save(path, [self])
