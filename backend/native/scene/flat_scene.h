@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scene as the stages see it: plain records and pointers to device memory. "World" is relative to FlatScene.origin.
+#pragma once
+
+#include <cstdint>
+
+#include "core/vec.h"
+#include "scene/wide_node.h"
+
+namespace svgf {
+
+// A triangle in leaf order, 48 bytes, so that a leaf is read in a row and a hit needs no indirection.
+struct alignas(16) LeafTriangle {
+    Vec3 vertex0;
+    std::int32_t index;  // in the mesh as it was given
+    Vec3 vertex1;
+    std::int32_t material_slot;
+    Vec3 vertex2;
+};
+static_assert(sizeof(LeafTriangle) == 48);
+
+struct CornerNormals {  // 36 bytes; all zero: use the face normal
+    Vec3 corner[3];
+};
+struct CornerUvs {  // 24 bytes
+    Vec2 corner[3];
+};
+struct TrianglePositions {  // 36 bytes
+    Vec3 vertex[3];
+};
+
+// One mesh: its tree and, in leaf order, what its triangles carry.
+struct MeshView {
+    const WideNode* nodes = nullptr;
+    const LeafTriangle* triangles = nullptr;
+    const CornerNormals* normals = nullptr;                 // null: face normals everywhere
+    const CornerUvs* uvs = nullptr;                         // null: (0, 0)
+    const TrianglePositions* previous_positions = nullptr;  // null: as now
+};
+
+// What traversal and shading read of an instance, one cache line.
+struct alignas(16) Instance {
+    Mat34 world_to_object;
+    std::int32_t mesh;
+    std::int32_t object_id;
+    std::int32_t material_start;
+};
+static_assert(sizeof(Instance) == 64);
+
+struct Placement {  // 96 bytes, read once per hit
+    Mat34 object_to_world, previous_object_to_world;
+};
+
+// A row of FlatScene.materials, 64 bytes.
+struct alignas(16) Material {
+    Vec3 base_color;
+    float base_color_texture;  // index, or < 0
+    float metallic, roughness, ior, transmission;
+    float specular_ior_level;
+    Vec3 specular_tint;
+    Vec3 emission;
+    float unused;
+};
+static_assert(sizeof(Material) == 16 * sizeof(float));
+
+enum class LightKind : std::int32_t { point, sun, spot, rectangle, ellipse, triangle };
+
+// A row of FlatScene.light_data with its kind and probability in the spare columns, 96 bytes.
+struct Light {
+    Vec3 position;                // triangle: vertex 0
+    Vec3 axis_x, axis_y, axis_z;  // triangle: two edges and the unit normal; lamps shine along -axis_z
+    Vec3 radiance;                // delta lamps: intensity, a sun's irradiance
+    Vec2 size;                    // point, spot: radius; sun: sine and cosine of half its angle; area: widths
+    float area;
+    float cos_half_spot, spot_scale;
+    float is_delta;
+    LightKind kind;
+    float probability;
+    float soft_falloff;          // point, spot: 1 for a disk that faces the point it lights, 0 for a sphere
+};
+static_assert(sizeof(Light) == 24 * sizeof(float));
+
+enum class Interpolation : std::int32_t { closest, linear };
+enum class Extension : std::int32_t { repeat, extend, clip, mirror };
+
+struct TextureView {
+    const std::uint32_t* bytes = nullptr;  // RGBA, red in the lowest byte; null: floats
+    const Vec4* floats = nullptr;
+    std::int32_t width = 0, height = 0;
+    Interpolation interpolation = Interpolation::linear;
+    Extension extension = Extension::repeat;
+    bool srgb = false;
+};
+
+struct SceneView {
+    const WideNode* nodes = nullptr;               // top level
+    const std::int32_t* instance_order = nullptr;  // instance of each of its leaves
+    const Instance* instances = nullptr;
+    const Placement* placements = nullptr;
+    const MeshView* meshes = nullptr;
+    const std::int32_t* material_table = nullptr;
+    const Material* materials = nullptr;
+    const TextureView* textures = nullptr;
+    const Light* lights = nullptr;     // lamps first, then triangles
+    const float* light_cdf = nullptr;  // [light_count + 1]
+    std::int32_t light_count = 0;
+    std::int32_t lamp_count = 0;
+    std::int32_t sized_lamp_count = 0;  // lamps that rays can hit
+    float triangle_light_scale = 0;     // chance of choosing an emissive triangle, over its mean emission times area
+    Vec3 world_radiance;
+};
+
+}  // namespace svgf

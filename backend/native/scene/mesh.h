@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "device/device.h"
+#include "scene/bvh.h"
+#include "scene/flat_scene.h"
+
+namespace svgf {
+
+// The geometry of one mesh on the device, with its tree. It never changes: a mesh that deforms is made anew.
+//
+// What lies far from its own origin is moved towards it by `centre`, so that it keeps its digits in every product; an
+// instance's transforms make up for it.
+//
+// Triangles that cannot be hit do not enter the mesh: without area, with a coordinate that is not finite or beyond
+// largest_coordinate, or with an index outside the positions. The device must outlive the mesh.
+class Mesh {
+public:
+    // Row-major arrays as svgf.Mesh documents them. V positions, T triangles; both may be 0.
+    struct Arrays {
+        std::span<const float> positions;         // [V, 3]
+        std::span<const std::int32_t> triangles;  // [T, 3]
+        std::span<const float> normals;           // [T, 3, 3]; a corner that is zero or not finite: the face normal
+        std::span<const float> uvs;               // [T, 3, 2], or empty: (0, 0)
+        std::span<const std::int32_t> material_slots;  // [T], >= 0
+        std::span<const float> previous_positions;     // [V, 3], or empty: as positions
+    };
+
+    // Throws InputError if the lengths do not fit together.
+    Mesh(Device& device, const Arrays& arrays);
+
+    const MeshView& view() const { return view_; }
+    Vec3 centre() const { return centre_; }           // of the view, in the coordinates of Arrays
+    const Bounds& bounds() const { return bounds_; }  // of the view
+    int slot_count() const { return slot_count_; }    // largest material slot of a hittable triangle + 1
+    std::size_t triangle_count() const { return triangles_.size(); }  // of those that can be hit
+    std::size_t bytes() const;
+
+    // Products of three coordinates stay finite in float.
+    static constexpr float largest_coordinate = 1e12f;
+
+private:
+    Vec3 centre_;
+    Bounds bounds_;
+    int slot_count_ = 0;
+    Buffer<WideNode> nodes_;
+    Buffer<LeafTriangle> triangles_;
+    Buffer<CornerNormals> normals_;
+    Buffer<CornerUvs> uvs_;
+    Buffer<TrianglePositions> previous_positions_;
+    MeshView view_;
+};
+
+}  // namespace svgf

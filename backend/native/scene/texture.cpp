@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scene/texture.h"
+
+#include <vector>
+
+namespace svgf {
+namespace {
+
+TextureView checked_view(std::size_t values, int width, int height, int interpolation, int extension) {
+    if (width < 1 || height < 1) throw InputError("A texture must have at least one pixel.");
+    if (values != 4 * std::size_t(width) * std::size_t(height)) throw InputError("A texture must be [H, W, 4].");
+    // Texel numbers and twice the width, for mirroring, are int.
+    if (std::size_t(width) * std::size_t(height) >= (std::size_t(1) << 30))
+        throw InputError("A texture may have at most 2^30 pixels.");
+    if (interpolation < 0 || interpolation > int(Interpolation::linear))
+        throw InputError("Unknown texture interpolation.");
+    if (extension < 0 || extension > int(Extension::mirror)) throw InputError("Unknown texture extension.");
+    TextureView view;
+    view.width = width;
+    view.height = height;
+    view.interpolation = Interpolation(interpolation);
+    view.extension = Extension(extension);
+    return view;
+}
+
+}  // namespace
+
+Texture::Texture(Device& device, std::span<const std::uint8_t> pixels, int width, int height, bool srgb,
+                 int interpolation, int extension)
+    : view_(checked_view(pixels.size(), width, height, interpolation, extension)) {
+    std::vector<std::uint32_t> texels(pixels.size() / 4);
+    for (std::size_t i = 0; i < texels.size(); ++i)
+        texels[i] = std::uint32_t(pixels[4 * i]) | std::uint32_t(pixels[4 * i + 1]) << 8 |
+                    std::uint32_t(pixels[4 * i + 2]) << 16 | std::uint32_t(pixels[4 * i + 3]) << 24;
+    bytes_ = Buffer<std::uint32_t>(device, std::span<const std::uint32_t>(texels), "a texture");
+    view_.bytes = bytes_.data();
+    view_.srgb = srgb;
+}
+
+Texture::Texture(Device& device, std::span<const float> pixels, int width, int height, int interpolation, int extension)
+    : view_(checked_view(pixels.size(), width, height, interpolation, extension)) {
+    const auto cleaned = [](float value) { return is_finite(value) && value > 0.0f ? value : 0.0f; };
+    std::vector<Vec4> texels(pixels.size() / 4);
+    for (std::size_t i = 0; i < texels.size(); ++i)
+        texels[i] = {cleaned(pixels[4 * i]), cleaned(pixels[4 * i + 1]), cleaned(pixels[4 * i + 2]),
+                     cleaned(pixels[4 * i + 3])};
+    floats_ = Buffer<Vec4>(device, std::span<const Vec4>(texels), "a texture");
+    view_.floats = floats_.data();
+}
+
+}  // namespace svgf

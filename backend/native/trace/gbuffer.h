@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage "gbuffer": what the primary ray of each pixel sees, for demodulation, reprojection and edges. Keeps the hits
+// for stage "path", which starts with the same rays.
+#pragma once
+
+#include "core/effects.h"
+#include "core/sampling.h"
+#include "trace/bsdf.h"
+#include "trace/camera.h"
+#include "trace/intersect.h"
+#include "trace/surface.h"
+
+namespace svgf {
+
+constexpr float background_depth = 1e10f;
+constexpr float largest_depth_gradient = 1e10f;
+// Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
+constexpr float no_motion = 1e6f;
+
+// The primary ray through image point `point`. Its direction has planar depth 1, so its t is planar and so are the
+// clips.
+SVGF_HD inline Ray primary_ray(const Camera& camera, Vec2 point) {
+    return {camera.position(), camera.direction(point), camera.near_clip, camera.far_clip};
+}
+
+// Where the first ray of a sample goes through pixel (x, y).
+SVGF_HD inline Vec2 pixel_point(int x, int y, const Sampler& sampler, bool box_filter) {
+    const Vec2 offset = box_filter ? sampler.pair(SamplePair::pixel) : Vec2{0.5f, 0.5f};
+    return {float(x) + offset.x, float(y) + offset.y};
+}
+
+template <Effects kernel>
+struct GbufferStage {
+    SceneView scene;
+    Camera camera, previous_camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+
+    Hit* out_hit;
+    Vec3* out_normal;          // world, on the viewer's side; 0 on the background
+    float* out_depth;          // planar
+    Vec2* out_depth_gradient;  // per pixel
+    std::int32_t* out_object_id;
+    std::int32_t* out_material_id;  // index + 1
+    float* out_roughness;
+    Vec3* out_diffuse_albedo;
+    Vec3* out_specular_albedo;
+    Vec3* out_motion;  // previous position minus this one in pixels, previous depth minus this one
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int i = y * camera.width + x;
+        const Sampler sampler(x, y, camera.width, seed, sample);
+        const Ray ray = primary_ray(camera, pixel_point(x, y, sampler, box_filter));
+        const Hit hit = find_closest_hit(scene, ray);
+        out_hit[i] = hit;
+        if (!hit.found()) {
+            // Infinitely far: only the camera's rotation moves it.
+            const Vec3 motion = find_motion(camera.project_direction(ray.direction),
+                                            previous_camera.project_direction(ray.direction));
+            write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
+            return;
+        }
+        const Surface surface = find_surface(scene, hit);
+        const Bsdf<kernel> bsdf(surface, -normalize(ray.direction));
+        const ImagePoint now = camera.project(surface.position);
+        const ImagePoint before = previous_camera.project(find_previous_position(scene, hit));
+        write(i, bsdf.normal, now.depth, find_depth_gradient(ray.direction, now.depth, bsdf.geometric_normal),
+              scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
+              bsdf.diffuse_albedo, bsdf.specular_albedo, find_motion(now, before));
+    }
+
+private:
+    // Both positions go through the same projection, so that what stands still moves by exactly 0.
+    SVGF_HD static Vec3 find_motion(ImagePoint now, ImagePoint before) {
+        const Vec3 motion{before.point.x - now.point.x, before.point.y - now.point.y, before.depth - now.depth};
+        return before.depth > 0.0f && is_finite(motion) ? motion : Vec3{no_motion, no_motion, 0.0f};
+    }
+
+    // The ray s d meets the plane n (x - p) = 0 at depth s = n p / n d, so that ds = -s (n dd) / (n d).
+    SVGF_HD Vec2 find_depth_gradient(Vec3 direction, float depth, Vec3 geometric_normal) const {
+        const Vec3 normal = camera.to_camera(geometric_normal);
+        const float scale = -depth / dot(normal, camera.to_camera(direction));
+        const Vec2 gradient{normal.x * ((camera.right - camera.left) / float(camera.width)) * scale,
+                            normal.y * ((camera.bottom - camera.top) / float(camera.height)) * scale};
+        const auto bounded = [](float g) {
+            return g == g ? clamp(g, -largest_depth_gradient, largest_depth_gradient) : 0.0f;
+        };
+        return {bounded(gradient.x), bounded(gradient.y)};
+    }
+
+    SVGF_HD void write(int i, Vec3 normal, float depth, Vec2 depth_gradient, std::int32_t object_id,
+                       std::int32_t material_id, float roughness, Vec3 diffuse_albedo, Vec3 specular_albedo,
+                       Vec3 motion) const {
+        out_normal[i] = normal;
+        out_depth[i] = depth;
+        out_depth_gradient[i] = depth_gradient;
+        out_object_id[i] = object_id;
+        out_material_id[i] = material_id;
+        out_roughness[i] = roughness;
+        out_diffuse_albedo[i] = diffuse_albedo;
+        out_specular_albedo[i] = specular_albedo;
+        out_motion[i] = motion;
+    }
+};
+
+}  // namespace svgf
