@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lamps and emissive triangles: choosing one, sampling a point on it, and the same densities for rays that run into
+one.
+
+Densities are per solid angle and hold the probability of choosing the light. A lamp without size (delta) has density 1
+for its only direction, and its radiance is then what arrives: intensity over squared distance, or a sun's irradiance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..flatten import TRIANGLE
+from ..scene import LightKind
+from .sampling import concentric_disk, cone, to_world, triangle_barycentrics
+from .vec import dot, normalize
+
+_SPHERES = (LightKind.POINT, LightKind.SPOT)
+
+
+@dataclass
+class LightSample:
+    """direction: [n, 3] unit, towards the light. distance: [n], inf for a sun. radiance: [n, 3]. pdf: [n], 0: no light
+    there."""
+
+    direction: np.ndarray
+    distance: np.ndarray
+    radiance: np.ndarray
+    pdf: np.ndarray
+    delta: np.ndarray
+
+
+class Lights:
+    """The lights of a FlatScene, see there for the columns. world_radiance: [3]."""
+
+    def __init__(self, kind, data, probability, cdf, triangle_light_scale: float, world_radiance) -> None:
+        self.kind = np.asarray(kind, dtype=np.int64)
+        data = np.asarray(data, dtype=np.float64).reshape(-1, 24)
+        self.position, self.axis_x, self.axis_y, self.axis_z, self.radiance = (
+            data[:, i : i + 3] for i in range(0, 15, 3)
+        )
+        self.size, self.area = data[:, 15:17], data[:, 17]
+        self.cos_half_spot, self.spot_smooth, self.delta = data[:, 18], data[:, 19], data[:, 20] != 0.0
+        self.soft_falloff = data[:, 23] != 0.0
+        self.probability = np.asarray(probability, dtype=np.float64)
+        # Native devices hold float32; the same numbers here choose the same lights.
+        self.cdf = np.asarray(cdf, dtype=np.float32).astype(np.float64)
+        self.triangle_light_scale = float(triangle_light_scale)
+        self.world_radiance = np.asarray(world_radiance, dtype=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def choose(self, u: np.ndarray) -> np.ndarray:
+        """Index i with cdf[i] <= u < cdf[i + 1]."""
+        return np.clip(np.searchsorted(self.cdf, u, side="right") - 1, 0, len(self) - 1)
+
+    def sample(self, light: np.ndarray, point: np.ndarray, uv: np.ndarray) -> LightSample:
+        """A point on light [n] (indices) as seen from point [n, 3]."""
+        count = len(light)
+        result = LightSample(
+            np.zeros((count, 3)), np.full(count, np.inf), self.radiance[light], np.zeros(count), self.delta[light]
+        )
+        samplers = {
+            LightKind.POINT: self._sample_sphere,
+            LightKind.SPOT: self._sample_sphere,
+            LightKind.SUN: self._sample_sun,
+            LightKind.RECTANGLE: self._sample_area,
+            LightKind.ELLIPSE: self._sample_area,
+            TRIANGLE: self._sample_area,
+        }
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            for kind, sampler in samplers.items():
+                rows = np.flatnonzero(self.kind[light] == kind)
+                if len(rows):
+                    chosen = light[rows]
+                    direction, distance, pdf = sampler(chosen, point[rows], uv[rows])
+                    result.direction[rows], result.distance[rows], result.pdf[rows] = direction, distance, pdf
+                    if kind in _SPHERES:
+                        falloff = np.where(self.delta[chosen], 1.0 / distance**2, 1.0)
+                        result.radiance[rows] *= (falloff * self.spot_attenuation(chosen, direction))[:, None]
+        # A point at the very light, or a density without bound, has no part.
+        bad = ~(np.isfinite(result.pdf) & np.isfinite(result.radiance).all(axis=1) & (result.distance > 0.0))
+        result.pdf[bad], result.radiance[bad] = 0.0, 0.0
+        result.pdf *= self.probability[light]
+        return result
+
+    def _sample_sphere(self, light, point, uv):
+        to_centre = self.position[light] - point
+        radius = self.size[light, 0]
+        axis = normalize(to_centre)
+        one_minus_cos = sphere_cone(radius, dot(to_centre, to_centre))
+        direction = normalize(to_world(cone(uv, one_minus_cos), axis))
+        distance = sphere_distance(to_centre, direction, radius)
+        pdf = 1.0 / (2.0 * np.pi * one_minus_cos)
+
+        # Soft falloff: a disk through the centre that faces the point.
+        soft = self.soft_falloff[light]
+        disk = concentric_disk(uv) * radius[:, None]
+        to_disk = to_centre + to_world(np.column_stack([disk, np.zeros(len(disk))]), axis)
+        to_disk_distance = np.sqrt(dot(to_disk, to_disk))
+        direction = np.where(soft[:, None], to_disk / to_disk_distance[:, None], direction)
+        distance = np.where(soft, to_disk_distance, distance)
+        pdf = np.where(soft, distance**2 / (dot(direction, axis) * np.pi * radius**2), pdf)
+
+        delta = self.delta[light]
+        direction = np.where(delta[:, None], axis, direction)
+        distance = np.where(delta, np.sqrt(dot(to_centre, to_centre)), distance)
+        return direction, distance, np.where(delta, 1.0, pdf)
+
+    def _sample_sun(self, light, point, uv):
+        axis = self.axis_z[light]
+        one_minus_cos = sun_cone(self.size[light])
+        delta = self.delta[light]
+        direction = np.where(delta[:, None], axis, to_world(cone(uv, one_minus_cos), axis))
+        pdf = np.where(delta, 1.0, 1.0 / (2.0 * np.pi * one_minus_cos))
+        return direction, np.full(len(light), np.inf), pdf
+
+    def _sample_area(self, light, point, uv):
+        kind, size = self.kind[light], self.size[light]
+        share = uv - 0.5
+        share = np.where((kind == LightKind.ELLIPSE)[:, None], concentric_disk(uv) / 2.0, share) * size
+        share = np.where((kind == TRIANGLE)[:, None], triangle_barycentrics(uv), share)
+        on_light = self.position[light] + share[:, 0:1] * self.axis_x[light] + share[:, 1:2] * self.axis_y[light]
+        to_light = on_light - point
+        distance = np.sqrt(dot(to_light, to_light))
+        direction = to_light / distance[:, None]
+        cosine = dot(direction, self.axis_z[light])
+        # Lamps shine along -axis_z only, triangles both ways.
+        cosine = np.where(kind == TRIANGLE, np.abs(cosine), cosine)
+        return direction, distance, np.where(cosine > 0.0, distance**2 / (cosine * self.area[light]), 0.0)
+
+    def spot_attenuation(self, light, direction: np.ndarray) -> np.ndarray:
+        """[n] for directions towards the lamp; 1 for what is no spot."""
+        cosine = dot(-direction, -self.axis_z[light])
+        t = np.clip((cosine - self.cos_half_spot[light]) * self.spot_smooth[light], 0.0, 1.0)
+        return np.where(self.kind[light] == LightKind.SPOT, t * t * (3.0 - 2.0 * t), 1.0)
+
+    def crossed_lamps(
+        self, origin: np.ndarray, direction: np.ndarray, t_hit: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """For every lamp with size: rows that see it before t_hit (inf on a miss), their radiance [m, 3] and density
+        [m]."""
+        for light in np.flatnonzero((self.kind != TRIANGLE) & ~self.delta):
+            if self.kind[light] == LightKind.SUN:
+                seen = np.isinf(t_hit) & (dot(direction, self.axis_z[light]) >= self.size[light, 1])
+                pdf = np.full(len(origin), 1.0 / (2.0 * np.pi * sun_cone(self.size[light])))
+            else:
+                crossing = self._cross_sphere if self.kind[light] in _SPHERES else self._cross_area
+                if self.soft_falloff[light]:
+                    crossing = self._cross_facing_disk
+                t, pdf = crossing(light, origin, direction)
+                seen = (t > 0.0) & (t < t_hit)
+            rows = np.flatnonzero(seen)
+            if len(rows):
+                radiance = self.radiance[light] * self.spot_attenuation(light, direction[rows])[:, None]
+                yield rows, radiance, pdf[rows] * self.probability[light]
+
+    def _cross_sphere(self, light, origin, direction):
+        to_centre = self.position[light] - origin
+        radius = self.size[light, 0]
+        t = sphere_distance(to_centre, direction, radius, miss=-1.0)
+        return t, 1.0 / (2.0 * np.pi * sphere_cone(radius, dot(to_centre, to_centre)))
+
+    def _cross_facing_disk(self, light, origin, direction):
+        to_centre = self.position[light] - origin
+        radius = self.size[light, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            centre_distance = np.sqrt(dot(to_centre, to_centre))
+            cosine = dot(direction, to_centre) / centre_distance
+            t = centre_distance / cosine
+            beside = t[:, None] * direction - to_centre
+            seen = (cosine > 0.0) & (dot(beside, beside) <= radius**2)
+            return np.where(seen, t, -1.0), t * t / (cosine * np.pi * radius**2)
+
+    def _cross_area(self, light, origin, direction):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cosine = dot(direction, self.axis_z[light])
+            t = dot(self.position[light] - origin, self.axis_z[light]) / cosine
+            local = origin + t[:, None] * direction - self.position[light]
+            share = (
+                np.stack([dot(local, self.axis_x[light]), dot(local, self.axis_y[light])], axis=1) / self.size[light]
+            )
+            if self.kind[light] == LightKind.ELLIPSE:
+                inside = (share**2).sum(axis=1) <= 0.25
+            else:
+                inside = (np.abs(share) <= 0.5).all(axis=1)
+            pdf = t * t / (cosine * self.area[light])
+        return np.where(inside & (cosine > 0.0), t, -1.0), pdf
+
+    def triangle_pdf(self, emission: np.ndarray, t: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """Density of a hit at distance t of a triangle with emission [n, 3]. Its area cancels: choosing it is
+        proportional to it."""
+        with np.errstate(divide="ignore", over="ignore"):
+            return emission.mean(axis=1) * self.triangle_light_scale * t * t / np.abs(cosine)
+
+
+def sphere_cone(radius, distance_squared):
+    """1 - cosine of half the angle under which a sphere is seen; 2, all directions, from within."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sine_squared = radius * radius / distance_squared
+        outside = sine_squared / (1.0 + np.sqrt(np.maximum(0.0, 1.0 - sine_squared)))
+    return np.where(distance_squared > radius * radius, outside, 2.0)
+
+
+def sun_cone(size):
+    """As sphere_cone, of a sun's size columns (sine, cosine)."""
+    return size[..., 0] ** 2 / (1.0 + size[..., 1])
+
+
+def sphere_distance(to_centre: np.ndarray, direction: np.ndarray, radius, miss: float | None = None) -> np.ndarray:
+    """Distance to a sphere: where the ray enters it, or leaves it from within. A ray that passes by: the point closest
+    to the centre, or miss where that is given."""
+    along = dot(to_centre, direction)
+    beside = to_centre - along[:, None] * direction
+    half_chord_squared = radius * radius - dot(beside, beside)
+    half_chord = np.sqrt(np.maximum(half_chord_squared, 0.0))
+    inside = dot(to_centre, to_centre) <= radius * radius
+    t = np.where(inside, along + half_chord, along - half_chord)
+    return t if miss is None else np.where((half_chord_squared >= 0.0) & (t > 0.0), t, miss)

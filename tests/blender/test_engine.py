@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The render engine without a window: the same pixels as the Python API, passes, animations, errors."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import bpy
+import numpy as np
+import pytest
+from blend import add_cube, add_light, add_material, add_mesh, add_world, animate, save
+from svgf.errors import DeviceError, Interrupted
+from svgf.io import exr
+from svgf.renderer import Renderer
+from svgf.settings import Settings
+from svgf_blender import session
+from svgf_blender.engine import SVGFRenderEngine
+from svgf_blender.export import export_file
+
+WIDTH, HEIGHT = 24, 14
+OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0, 0) else "IndexOB"
+
+
+@pytest.fixture(autouse=True)
+def scene(registered, tmp_path, engine_device):
+    """A cube that slides over a plane under a lamp, the camera close by."""
+    floor = add_mesh("Floor", location=(0, 0, -1))
+    floor.scale = (5, 5, 1)
+    cube = add_cube("Moving")
+    add_material("Paint", cube, Base_Color=(0.8, 0.2, 0.1))
+    animate(cube, "location", (0, -1.0), (10, 1.0), index=0)
+    add_light("AREA", location=(0, -2, 4), energy=200)
+    add_world((0.5, 0.5, 0.5), 0.2)
+    scene = bpy.context.scene
+    scene.render.engine = "SVGF"
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = WIDTH, HEIGHT, 100
+    scene.svgf.device = engine_device
+    if hasattr(scene, "cycles"):
+        scene.cycles.max_bounces = 1
+    settings = scene.render.image_settings
+    if bpy.app.version >= (5, 0, 0):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "32"
+    scene.render.filepath = str(tmp_path / "frame_")
+    scene.frame_start, scene.frame_end = 1, 3
+    return scene
+
+
+@pytest.fixture(scope="module")
+def engine_device() -> str:
+    """The fastest device that every machine has."""
+    from svgf.devices import available_devices
+
+    usable = {info.name for info in available_devices() if info.available}
+    return "cpu" if "cpu" in usable else "reference"
+
+
+def rendered(tmp_path, name="frame_.exr") -> dict[str, np.ndarray]:
+    return exr.read(tmp_path / name)
+
+
+def from_python(path, frames, device, **settings) -> list:
+    renderer = Renderer(Settings(**settings), device)
+    return [renderer.render(scene) for scene in export_file(path, frames=frames)]
+
+
+def test_still_is_what_python_renders(scene, tmp_path, engine_device):
+    view_layer = scene.view_layers[0]
+    view_layer.use_pass_z = view_layer.use_pass_normal = view_layer.use_pass_vector = True
+    view_layer.use_pass_object_index = True
+    scene.frame_set(2)
+    assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
+    passes = rendered(tmp_path)
+    (frame,) = from_python(save(tmp_path / "still.blend"), [2], engine_device)
+
+    def found(name):
+        return exr.find_pass(passes, name, "the render")
+
+    assert found("Combined").shape == (HEIGHT, WIDTH, 4)
+    assert np.array_equal(found("Combined")[..., :3], frame.color) and frame.color.std() > 0.01
+    assert (found("Combined")[..., 3] == 1).all()
+    assert np.array_equal(found("Depth"), frame.depth) and np.array_equal(found("Normal"), frame.normal)
+    assert np.array_equal(found(OBJECT_INDEX), frame.object_id.astype(np.float32))
+    vector = found("Vector")
+    assert np.array_equal(vector[..., 0], frame.motion[..., 0]) and np.array_equal(
+        vector[..., 1], -frame.motion[..., 1]
+    )
+    assert np.abs(vector[..., :2]).max() > 0.1 and not vector[..., 2:].any()
+
+
+def test_passes_that_nobody_asks_for_are_not_there(scene, tmp_path):
+    scene.view_layers[0].use_pass_z = False
+    bpy.ops.render.render(write_still=True)
+    assert [name.rpartition(".")[2] for name in rendered(tmp_path)] == ["Combined"]
+
+
+def test_settings_reach_the_renderer(scene, tmp_path, engine_device):
+    scene.svgf.method, scene.svgf.samples, scene.svgf.seed = "none", 3, 7
+    scene.svgf.denoise.alpha = 0.1
+    assert scene.svgf.to_settings() == Settings(
+        method="none", samples=3, seed=7, denoise=type(Settings().denoise)(alpha=0.1)
+    )
+    scene.frame_set(1)
+    bpy.ops.render.render(write_still=True)
+    (frame,) = from_python(save(tmp_path / "settings.blend"), [1], engine_device, method="none", samples=3, seed=7)
+    assert np.array_equal(exr.find_pass(rendered(tmp_path), "Combined", "")[..., :3], frame.color)
+
+
+def test_a_still_does_not_depend_on_what_was_rendered_before(scene, tmp_path):
+    images = []
+    for frame in (2, 1, 2):
+        scene.frame_set(frame)
+        bpy.ops.render.render(write_still=True)
+        images.append(exr.find_pass(rendered(tmp_path), "Combined", ""))
+    assert np.array_equal(images[0], images[2]) and not np.array_equal(images[0], images[1])
+
+
+def test_animation_is_what_python_renders(scene, tmp_path, engine_device):
+    """Three files, with history that goes on from frame to frame."""
+    bpy.ops.render.render(animation=True)
+    files = sorted(tmp_path.glob("frame_*.exr"))
+    assert [file.name for file in files] == ["frame_0001.exr", "frame_0002.exr", "frame_0003.exr"]
+    frames = from_python(save(tmp_path / "animation.blend"), range(1, 4), engine_device)
+    assert frames[2].history_length.max() == 3
+    for file, frame in zip(files, frames, strict=True):
+        assert np.array_equal(exr.find_pass(rendered(tmp_path, file.name), "Combined", "")[..., :3], frame.color)
+
+
+def test_session_ends_with_the_job(scene):
+    bpy.ops.render.render()
+    assert not session._sessions
+
+
+def test_every_view_layer_is_rendered(scene, tmp_path):
+    scene.view_layers.new("Second")
+    bpy.ops.render.render(write_still=True)
+    assert {name.partition(".")[0] for name in rendered(tmp_path)} == {"ViewLayer", "Second"}
+
+
+def test_render_region(scene, tmp_path):
+    bpy.ops.render.render(write_still=True)
+    whole = exr.find_pass(rendered(tmp_path), "Combined", "")
+    render = scene.render
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.5, 1
+    bpy.ops.render.render(write_still=True)
+    assert np.array_equal(exr.find_pass(rendered(tmp_path), "Combined", ""), whole[:7, 6:18])
+    render.use_crop_to_border = False
+    bpy.ops.render.render(write_still=True)
+    framed = exr.find_pass(rendered(tmp_path), "Combined", "")
+    assert np.array_equal(framed[:7, 6:18], whole[:7, 6:18]) and not framed[7:].any()
+
+
+def test_stereo_is_refused(scene):
+    scene.render.use_multiview = True
+    with pytest.raises(RuntimeError, match="Stereo rendering is not supported. Turn"):
+        bpy.ops.render.render()
+    assert not session._sessions
+
+
+def test_nothing_to_render_is_said(scene, tmp_path):
+    """No file is written, and the animation ends."""
+    for name in ("Floor", "Moving"):
+        bpy.data.objects[name].hide_render = True
+    for animation in (False, True):
+        with pytest.raises(RuntimeError, match='Scene "Scene" has no mesh to render at frame 1'):
+            bpy.ops.render.render(write_still=True, animation=animation)
+    assert not list(tmp_path.glob("frame_*"))
+
+
+def test_device_that_fails_is_said(scene, monkeypatch):
+    monkeypatch.setattr(session, "open_device", Mock(side_effect=DeviceError("The device is lost.", "Restart.")))
+    monkeypatch.setattr(session, "_devices", {})
+    with pytest.raises(RuntimeError, match="The device is lost. Restart."):
+        bpy.ops.render.render()
+    monkeypatch.undo()
+    assert bpy.ops.render.render() == {"FINISHED"}
+
+
+def test_fault_of_ours_is_said(scene, monkeypatch):
+    monkeypatch.setattr(Renderer, "render", Mock(side_effect=ZeroDivisionError("oops")))
+    with pytest.raises(RuntimeError, match="svgf failed: ZeroDivisionError"):
+        bpy.ops.render.render()
+
+
+def test_cancel(monkeypatch):
+    """Esc while the renderer works: it is interrupted at once."""
+    stopped = threading.Event()
+
+    def endless(self, *arguments):
+        assert stopped.wait(10)
+        raise Interrupted("Stopped.")
+
+    monkeypatch.setattr(Renderer, "__init__", lambda self, settings, device: setattr(self, "settings", settings))
+    monkeypatch.setattr(Renderer, "render", endless)
+    monkeypatch.setattr(Renderer, "interrupt", lambda self: stopped.set())
+    presses = iter([False, False, True])
+    engine = SimpleNamespace(test_break=lambda: next(presses), update_progress=lambda share: None)
+    running = session.Session()
+    future = running.start(None, Settings(), "reference")
+    with pytest.raises(Interrupted):
+        SVGFRenderEngine._wait(engine, running, future)
+    running.close()
+
+
+def test_interrupted_frame_is_no_error(scene, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(Renderer, "render", Mock(side_effect=Interrupted("Stopped.")))
+        bpy.ops.render.render()
+    assert bpy.ops.render.render() == {"FINISHED"}

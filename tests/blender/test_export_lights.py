@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lamps and the world."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from blend import add_image, add_light, add_mesh, add_world, export, validate
+from svgf.scene import LightKind
+
+
+@pytest.fixture(autouse=True)
+def something_to_render():
+    add_mesh()
+
+
+def only_light(**options):
+    scene = export(**options)
+    validate(scene)
+    (light,) = scene.lights
+    return light
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.25])
+def test_point(radius):
+    lamp = add_light("POINT", energy=100, color=(1, 0.5, 0.25), shadow_soft_size=radius)
+    lamp.scale = (2, 2, 2)  # of no effect
+    light = only_light()
+    assert light.kind is LightKind.POINT and light.size == (radius, 0)
+    assert np.allclose(light.power, (100, 50, 25))
+    assert np.allclose(light.light_to_world, [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 5)])
+
+
+def test_sun():
+    add_light("SUN", energy=3, angle=0.2)
+    light = only_light()
+    assert light.kind is LightKind.SUN and light.size == pytest.approx((0.2, 0)) and np.allclose(light.power, 3)
+
+
+def test_spot():
+    lamp = add_light("SPOT", energy=10, spot_size=1.0, spot_blend=0.3, shadow_soft_size=0)
+    lamp.rotation_euler = (np.pi / 2, 0, 0)
+    light = only_light()
+    assert light.kind is LightKind.SPOT
+    assert (light.spot_angle, light.spot_blend) == pytest.approx((1.0, 0.3))
+    assert np.allclose(-light.light_to_world[:, 2], (0, 1, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind", "size"),
+    [
+        ("SQUARE", LightKind.RECTANGLE, (4, 6)),
+        ("RECTANGLE", LightKind.RECTANGLE, (4, 1.5)),
+        ("DISK", LightKind.ELLIPSE, (4, 6)),
+        ("ELLIPSE", LightKind.ELLIPSE, (4, 1.5)),
+    ],
+)
+def test_area(shape, kind, size):
+    lamp = add_light("AREA", shape=shape, size=2, energy=10)
+    lamp.data.size_y = 0.5
+    lamp.scale = (2, 3, 1)
+    light = only_light()
+    assert light.kind is kind and light.size == pytest.approx(size) and np.allclose(light.power, 10)
+    assert np.allclose(light.light_to_world[:, :3], np.eye(3))
+
+
+def test_mirrored_area_shines_where_its_axis_points():
+    lamp = add_light("AREA", shape="SQUARE", size=2)
+    lamp.scale = (1, 1, -1)
+    light = only_light()
+    assert np.allclose(light.light_to_world[:, 2], (0, 0, -1))
+    assert np.linalg.det(light.light_to_world[:, :3]) > 0
+
+
+def test_exposure_and_temperature():
+    lamp = add_light("POINT", energy=10, exposure=2, use_temperature=True, temperature=3000, shadow_soft_size=0)
+    assert np.allclose(only_light().power, 40 * np.array(lamp.data.temperature_color))
+
+
+@pytest.mark.parametrize(
+    ("kind", "attributes", "factor"),
+    [
+        ("POINT", {"shadow_soft_size": 0.5}, 4 * np.pi * 0.25),
+        ("SPOT", {"shadow_soft_size": 0.0}, 4),
+        ("SUN", {"angle": 0.2}, np.pi * np.sin(0.1) ** 2),
+        ("SUN", {"angle": 0.0}, 1),
+        ("AREA", {"shape": "SQUARE", "size": 3.0}, 9),
+        ("AREA", {"shape": "DISK", "size": 3.0}, 9 * np.pi / 4),
+    ],
+)
+def test_power_that_is_not_normalized(kind, attributes, factor):
+    add_light(kind, energy=2, normalize=False, **attributes)
+    assert np.allclose(only_light().power, 2 * factor)
+
+
+def test_node_emission_multiplies():
+    lamp = add_light("POINT", energy=10, shadow_soft_size=0)
+    if bpy.app.version < (5, 2, 0):
+        lamp.data.use_nodes = True
+    emission = next(node for node in lamp.data.node_tree.nodes if node.type == "EMISSION")
+    emission.inputs["Color"].default_value = (1, 0.5, 0, 1)
+    emission.inputs["Strength"].default_value = 3
+    assert np.allclose(only_light().power, (30, 15, 0))
+    tree = lamp.data.node_tree
+    tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], emission.inputs["Color"])
+    scene = export()
+    assert np.allclose(scene.lights[0].power, 10)
+    assert scene.warnings == (
+        'Light "Lamp": node "Noise Texture" (Noise Texture) is not supported yet; '
+        "the lamp's own colour and power are used instead.",
+    )
+
+
+@pytest.mark.parametrize("kind", ["POINT", "SPOT"])
+@pytest.mark.parametrize("soft", [True, False])
+def test_soft_falloff(kind, soft):
+    add_light(kind, shadow_soft_size=0.5, use_soft_falloff=soft)
+    scene = export()
+    assert scene.lights[0].soft_falloff is soft
+    assert not scene.warnings
+
+
+def test_portals_are_no_lamps():
+    lamp = add_light("AREA")
+    if not hasattr(lamp.data, "cycles"):
+        pytest.skip("The Cycles add-on is disabled.")
+    lamp.data.cycles.is_portal = True
+    assert not export().lights
+
+
+def test_what_lamps_do_that_is_not_simulated():
+    add_light("AREA", "Spread", spread=1.0)
+    add_light("SUN", "Ghost", use_shadow=False, energy=-1).visible_camera = True
+    warnings = export().warnings
+    for name, feature in (("Spread", "the spread"), ("Ghost", "a lamp without shadows"), ("Ghost", "negative light")):
+        assert sum(warning.startswith(f'Light "{name}": {feature}') for warning in warnings) == 1
+    assert sum(warning.startswith('Object "Ghost": a lamp that the camera sees') for warning in warnings) == 1
+    assert len(warnings) == 4
+
+
+def test_world_color():
+    assert export().world.radiance == (0, 0, 0)
+    add_world((0.2, 0.4, 0.6), 2.0)
+    scene = export()
+    assert np.allclose(scene.world.radiance, (0.4, 0.8, 1.2)) and not scene.warnings
+
+
+def test_world_without_surface_is_black():
+    world = add_world()
+    world.node_tree.links.clear()
+    assert export().world.radiance == (0, 0, 0)
+
+
+def test_environment_image_becomes_its_mean():
+    world = add_world(strength=0.5)
+    pixels = np.zeros((64, 4, 4))
+    pixels[32:] = (4, 2, 1, 1)  # the upper half of the sky
+    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = add_image("Sky", pixels, "Linear Rec.709", is_float=True)
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    world.node_tree.links.new(node.outputs[0], background.inputs["Color"])
+    scene = export()
+    assert np.allclose(scene.world.radiance, (1, 0.5, 0.25), rtol=1e-3)
+    assert scene.warnings == (
+        'World "World": the environment image "Sky" is not supported yet; its mean colour is used instead.',
+    )
+
+
+def test_other_world_nodes_are_named():
+    world = add_world()
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    world.node_tree.links.new(world.node_tree.nodes.new("ShaderNodeTexSky").outputs[0], background.inputs["Color"])
+    (warning,) = export().warnings
+    assert warning.startswith('World "World": node "Sky Texture" (Sky Texture) is not supported yet')
+
+
+def test_lamps_are_instanced_and_hidden_like_objects():
+    collection = bpy.data.collections.new("Collection")
+    lamp = add_light("POINT", shadow_soft_size=0)
+    bpy.context.scene.collection.objects.unlink(lamp)
+    collection.objects.link(lamp)
+    for x in range(3):
+        empty = bpy.data.objects.new("Empty", None)
+        empty.location.x = x
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        bpy.context.scene.collection.objects.link(empty)
+    assert [light.light_to_world[0, 3] for light in export().lights] == [0, 1, 2]

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The add-on comes and goes without a trace, and its properties are svgf's settings."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import bpy
+import pytest
+import svgf_blender
+from svgf import __version__
+from svgf.errors import InputError
+from svgf.settings import DenoiseSettings, Settings
+
+HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre")
+
+
+def state() -> tuple:
+    """All that registration may change."""
+    panels = bpy.types.Panel.__subclasses__()
+    return (
+        hasattr(bpy.types.Scene, "svgf"),
+        {panel.__name__ for panel in panels if "SVGF" in getattr(panel, "COMPAT_ENGINES", ())},
+        "SVGF"
+        in {getattr(kind, "bl_idname", "") for kind in bpy.types.RenderEngine.__subclasses__() if kind.is_registered},
+        [len(getattr(bpy.app.handlers, name)) for name in HANDLERS],
+    )
+
+
+def test_ten_times():
+    # Our own panel classes know their engine whether they are registered or not.
+    before = state()
+    for _ in range(10):
+        svgf_blender.register()
+        assert bpy.context.scene.svgf.samples == 1
+        bpy.context.scene.render.engine = "SVGF"
+        svgf_blender.unregister()
+    assert state() == before
+
+
+def test_file_keeps_its_settings(registered, tmp_path):
+    bpy.context.scene.svgf.denoise.levels = 3
+    bpy.context.scene.render.engine = "SVGF"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "settings.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "settings.blend"))
+    assert bpy.context.scene.svgf.denoise.levels == 3 and bpy.context.scene.render.engine == "SVGF"
+
+
+def test_defaults_are_those_of_the_settings(registered):
+    assert bpy.context.scene.svgf.to_settings() == Settings()
+
+
+def test_every_property_has_description_and_range(registered):
+    groups = (bpy.context.scene.svgf, bpy.context.scene.svgf.denoise)
+    for group in groups:
+        for item in group.bl_rna.properties:
+            if item.identifier in {"rna_type", "name", "denoise"}:
+                continue
+            assert item.description and item.name, item.identifier
+            assert not item.description.endswith("."), item.identifier
+            if item.type in {"INT", "FLOAT"}:
+                assert item.hard_min > -1e9 and item.hard_max < 1e10, item.identifier
+            else:
+                assert all(choice.description for choice in item.enum_items), item.identifier
+
+
+def test_denoise_properties_are_the_settings_fields(registered):
+    properties = bpy.context.scene.svgf.denoise.bl_rna.properties
+    for item in fields(DenoiseSettings):
+        shown = properties[item.name]
+        assert shown.hard_min == pytest.approx(item.metadata["minimum"])
+        assert shown.hard_max == pytest.approx(item.metadata["maximum"])
+        assert item.metadata["meaning"].rstrip(".") in shown.description
+
+
+@pytest.mark.parametrize("name", ["samples", "seed"])
+def test_ranges_are_accepted_by_the_settings(registered, name):
+    shown = bpy.context.scene.svgf.bl_rna.properties[name]
+    for value in (shown.hard_min, shown.hard_max):
+        assert getattr(Settings(**{name: value}), name) == value
+    with pytest.raises(InputError):
+        Settings(**{name: shown.hard_min - 1})
+
+
+def test_blender_shows_its_own_panels(registered):
+    shown = state()[1]
+    assert {
+        *(
+            "DATA_PT_lens",
+            "DATA_PT_camera",
+            "DATA_PT_EEVEE_light",
+            "EEVEE_MATERIAL_PT_surface",
+            "EEVEE_WORLD_PT_surface",
+        ),
+        *("RENDER_PT_format", "RENDER_PT_output", "RENDER_PT_color_management", "OBJECT_PT_visibility"),
+    } <= shown
+    assert not any("freestyle" in name or "lightprobe" in name for name in shown)
+
+
+def test_manifest():
+    manifest = tomllib.loads((Path(svgf_blender.__file__).parent / "blender_manifest.toml").read_text())
+    assert manifest["version"] == __version__ and manifest["type"] == "add-on"
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
+    assert tuple(map(int, manifest["blender_version_min"].split("."))) == (4, 5, 0)
