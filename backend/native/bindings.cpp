@@ -1,0 +1,456 @@
+// SPDX-License-Identifier: Apache-2.0
+// The Python module of one device (see CMakeLists.txt). It converts arrays and errors, and nothing else.
+//
+// Images come in as numpy arrays or, on CUDA, as anything on the same GPU that speaks DLPack; they go out as numpy arrays
+// on the CPU and as DeviceImage, which speaks DLPack, on CUDA. The GIL is released while native code works.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <optional>
+#include <memory>
+#include <tuple>
+#include <variant>
+
+#include "denoise/denoiser.h"
+#include "device/device.h"
+#include "trace/tracer.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace svgf {
+namespace {
+
+#if defined(SVGF_CUDA)
+constexpr int device_type = nb::device::cuda::value;
+#else
+constexpr int device_type = nb::device::cpu::value;
+#endif
+
+// --- Errors ----------------------------------------------------------------------------------------------------------
+
+void raise(const char* type, const std::string& message, const std::string& hint = "", const char* stage = nullptr) {
+    const nb::object error_class = nb::module_::import_("svgf.errors").attr(type);
+    const nb::object error = stage ? error_class(message, hint, stage) : error_class(message, hint);
+    PyErr_SetObject(error_class.ptr(), error.ptr());
+}
+
+void translate_error(const std::exception_ptr& error, void*) {
+    try {
+        std::rethrow_exception(error);
+    } catch (const OutOfMemory& e) {
+        raise("OutOfMemory", e.what(), e.hint, e.stage.c_str());
+    } catch (const DeviceError& e) {
+        raise("DeviceError", e.what(), e.hint, e.stage.c_str());
+    } catch (const Interrupted& e) {
+        raise("Interrupted", e.what());
+    } catch (const InputError& e) {
+        raise("InputError", e.what());
+    } catch (const std::invalid_argument& e) {
+        raise("InputError", e.what());
+    } catch (const std::bad_alloc&) {
+        raise("OutOfMemory", "The computer is out of memory.", "Close other programs, or render smaller.", "");
+    }
+}
+
+#if defined(SVGF_CUDA)
+// An image that stays on the GPU. It goes from the tracer to the denoiser as it is, and to other libraries by DLPack.
+struct DeviceImage {
+    std::variant<Buffer<float>, Buffer<int32_t>> pixels;
+    int height, width, channels;
+
+    const void* data() const {
+        return std::visit([](const auto& buffer) { return static_cast<const void*>(buffer.data()); }, pixels);
+    }
+};
+
+// The capsule keeps the image alive, and with it the device. Order with other streams: see device/cuda.h.
+nb::object dlpack_capsule(nb::handle self, nb::args, nb::kwargs) {
+    auto& image = nb::cast<DeviceImage&>(self);
+    const size_t shape[3] = {size_t(image.height), size_t(image.width), size_t(image.channels)};
+    return std::visit(
+        [&](auto& buffer) {
+            using Value = std::remove_pointer_t<decltype(buffer.data())>;
+            nb::ndarray<> array(buffer.data(), image.channels == 1 ? 2 : 3, shape, self, nullptr, nb::dtype<Value>(),
+                                device_type, buffer.device().index());
+            return nb::object(nb::cast(array).attr("__dlpack__")());
+        },
+        image.pixels);
+}
+#endif
+
+// --- Arrays in -------------------------------------------------------------------------------------------------------
+
+template <class T>
+using HostArray = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+
+template <class T>
+std::span<const T> span_of(const HostArray<T>& array) {
+    return {array.data(), array.size()};
+}
+
+template <class T>
+std::span<const T> span_of(const std::optional<HostArray<T>>& array) {
+    return array ? span_of(*array) : std::span<const T>();
+}
+
+template <size_t Size>
+std::span<const float, Size> fixed_span(const HostArray<float>& array, const char* name) {
+    if (array.size() != Size)
+        throw InputError(std::string(name) + " has " + std::to_string(array.size()) + " values instead of " +
+                         std::to_string(Size) + ".");
+    return std::span<const float, Size>(array.data(), Size);
+}
+
+// The images of a dictionary, on the device: those of the host are uploaded, those of the device are used as they are.
+class ImageReader {
+public:
+    ImageReader(Device& device, const nb::dict& images, int width, int height)
+        : device_(device), images_(images), width_(width), height_(height) {}
+
+    ImageView operator()(const char* name) {
+        if (!images_.contains(name)) return {};
+        nb::object value = images_[name];
+        if (value.is_none()) return {};
+#if defined(SVGF_CUDA)
+        if (nb::isinstance<DeviceImage>(value)) {
+            const auto& image = nb::cast<DeviceImage&>(value);
+            if (image.height != height_ || image.width != width_) throw InputError(wrong_size(name));
+            return {image.data(), image.channels};
+        }
+#endif
+        const bool ids = std::string_view(name) == "object_id";
+        nb::ndarray<nb::ro, nb::c_contig> array;
+        if (!nb::try_cast(value, array))
+            throw InputError("Image \"" + std::string(name) + "\" is not a C-contiguous array.");
+        if (array.dtype() != (ids ? nb::dtype<int32_t>() : nb::dtype<float>()))
+            throw InputError("Image \"" + std::string(name) + "\" must be " + (ids ? "int32." : "float32."));
+        if (array.ndim() < 2 || array.ndim() > 3 || array.shape(0) != size_t(height_) || array.shape(1) != size_t(width_))
+            throw InputError(wrong_size(name));
+        const int channels = array.ndim() == 3 ? int(array.shape(2)) : 1;
+        kept_.push_back(array);
+        if (array.device_type() == device_type) return {array.data(), channels};
+        if (array.device_type() != nb::device::cpu::value)
+            throw InputError("Image \"" + std::string(name) + "\" is on a device that this denoiser cannot read.");
+        uploads_.emplace_back(
+            device_, std::span(static_cast<const std::byte*>(array.data()), array.nbytes()), "an input image");
+        return {uploads_.back().data(), channels};
+    }
+
+private:
+    std::string wrong_size(const char* name) const {
+        return "Image \"" + std::string(name) + "\" does not have " + std::to_string(height_) + " rows and " +
+               std::to_string(width_) + " columns.";
+    }
+
+    Device& device_;
+    const nb::dict& images_;
+    int width_, height_;
+    std::vector<nb::ndarray<nb::ro, nb::c_contig>> kept_;
+    std::vector<Buffer<std::byte>> uploads_;
+};
+
+// --- Arrays out ------------------------------------------------------------------------------------------------------
+
+template <class T>
+nb::object numpy_image(std::vector<T>&& values, size_t dimensions, const size_t* shape) {
+    auto* owner = new std::vector<T>(std::move(values));
+    nb::capsule capsule(owner, [](void* pointer) noexcept { delete static_cast<std::vector<T>*>(pointer); });
+    return nb::cast(nb::ndarray<nb::numpy, T>(owner->data(), dimensions, shape, capsule));
+}
+
+template <class T>
+nb::object give_image(Buffer<T>&& buffer, int width, int height, int channels) {
+#if defined(SVGF_CUDA)
+    return nb::cast(DeviceImage{std::move(buffer), height, width, channels}, nb::rv_policy::move);
+#else
+    auto* owner = new Buffer<T>(std::move(buffer));
+    nb::capsule capsule(owner, [](void* pointer) noexcept { delete static_cast<Buffer<T>*>(pointer); });
+    const size_t shape[3] = {size_t(height), size_t(width), size_t(channels)};
+    return nb::cast(nb::ndarray<nb::numpy, T>(owner->data(), channels == 1 ? 2 : 3, shape, capsule));
+#endif
+}
+
+nb::object to_numpy(Device& device, nb::object image) {
+#if defined(SVGF_CUDA)
+    if (nb::isinstance<DeviceImage>(image)) {
+        const auto& source = nb::cast<DeviceImage&>(image);
+        const size_t shape[3] = {size_t(source.height), size_t(source.width), size_t(source.channels)};
+        return std::visit(
+            [&](const auto& pixels) {
+                auto values = [&] {
+                    nb::gil_scoped_release release;
+                    return pixels.download();
+                }();
+                return numpy_image(std::move(values), source.channels == 1 ? 2 : 3, shape);
+            },
+            source.pixels);
+    }
+#endif
+    (void)device;
+    return image;
+}
+
+// --- Tracer ----------------------------------------------------------------------------------------------------------
+
+std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, HostArray<int32_t> triangles,
+                                HostArray<float> normals, std::optional<HostArray<float>> uvs,
+                                HostArray<int32_t> material_slots, std::optional<HostArray<float>> previous_positions) {
+    const Mesh::Arrays arrays{span_of(positions), span_of(triangles),      span_of(normals),
+                              span_of(uvs),       span_of(material_slots), span_of(previous_positions)};
+    nb::gil_scoped_release release;
+    return std::make_shared<Mesh>(device, arrays);
+}
+
+std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
+                                      int interpolation, int extension) {
+    if (pixels.ndim() != 3 || pixels.shape(2) != 4) throw InputError("A texture's pixels must be [H, W, 4].");
+    const int height = int(pixels.shape(0)), width = int(pixels.shape(1));
+    if (pixels.dtype() == nb::dtype<uint8_t>())
+        return std::make_shared<Texture>(device, std::span(static_cast<const uint8_t*>(pixels.data()), pixels.size()),
+                                         width, height, srgb, interpolation, extension);
+    if (pixels.dtype() == nb::dtype<float>())
+        return std::make_shared<Texture>(device, std::span(static_cast<const float*>(pixels.data()), pixels.size()),
+                                         width, height, interpolation, extension);
+    throw InputError("A texture's pixels must be uint8 or float32.");
+}
+
+void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, HostArray<int32_t> instance_mesh,
+                   HostArray<float> object_to_world, HostArray<float> world_to_object,
+                   HostArray<float> previous_object_to_world, HostArray<int32_t> object_id,
+                   HostArray<int32_t> material_start, HostArray<int32_t> material_table) {
+    const Tracer::Instances instances{span_of(instance_mesh),   span_of(object_to_world), span_of(world_to_object),
+                                      span_of(previous_object_to_world), span_of(object_id), span_of(material_start),
+                                      span_of(material_table)};
+    nb::gil_scoped_release release;
+    tracer.set_instances(std::move(meshes), instances);
+}
+
+void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<float> probability,
+                HostArray<float> cdf, float triangle_light_scale, HostArray<float> world_radiance) {
+    const auto world = fixed_span<3>(world_radiance, "world_radiance");
+    tracer.set_lights({span_of(kind), span_of(data), span_of(probability), span_of(cdf), triangle_light_scale,
+                       {world[0], world[1], world[2]}});
+}
+
+void set_camera(Tracer& tracer, HostArray<float> camera_to_world, HostArray<float> previous_camera_to_world,
+                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip) {
+    tracer.set_camera({fixed_span<12>(camera_to_world, "camera_to_world"),
+                       fixed_span<12>(previous_camera_to_world, "previous_camera_to_world"),
+                       fixed_span<4>(window, "window"), fixed_span<4>(previous_window, "previous_window"),
+                       fixed_span<2>(clip, "clip")});
+}
+
+template <class Choice>
+Choice choose(const std::string& value, const char* what, std::initializer_list<std::pair<const char*, Choice>> choices) {
+    std::string names;
+    for (const auto& [name, choice] : choices) {
+        if (value == name) return choice;
+        names += names.empty() ? name : std::string(", ") + name;
+    }
+    throw InputError("There is no " + std::string(what) + " \"" + value + "\"; choose one of " + names + ".");
+}
+
+nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
+               uint32_t effects, const std::string& pixel_filter, const std::string& signals) {
+    const Tracer::Frame frame{
+        .width = width,
+        .height = height,
+        .sample = sample,
+        .samples = samples,
+        .seed = seed,
+        .bounces = bounces,
+        .effects = effects,
+        .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
+                                            {{"box", PixelFilter::box}, {"center", PixelFilter::center}}),
+        .signals = choose<Signals>(signals, "split into signals",
+                                   {{"diffuse_specular", Signals::diffuse_specular},
+                                    {"direct_indirect", Signals::direct_indirect}}),
+    };
+    std::vector<Image> images;
+    {
+        nb::gil_scoped_release release;
+        images = tracer.trace(frame);
+    }
+    nb::dict result;
+    for (auto& image : images)
+        result[image.name.c_str()] = std::visit(
+            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
+    return result;
+}
+
+// --- Denoiser --------------------------------------------------------------------------------------------------------
+
+DenoiseSettings read_settings(const nb::dict& values) {
+    DenoiseSettings settings;
+    for (const auto& [key, value] : values) {
+        const auto name = nb::cast<std::string>(key);
+        if (!set_denoise_setting(settings, name, nb::cast<double>(value)))
+            throw InputError("Denoiser setting \"" + name + "\" is unknown or out of range.");
+    }
+    return settings;
+}
+
+Vec4 read_window(const nb::dict& images) {
+    if (!images.contains("window")) return DenoiseInputs::default_window;
+    const auto window = nb::cast<std::vector<double>>(images["window"].attr("tolist")());
+    if (window.size() != 4) throw InputError("window must hold left, right, bottom and top.");
+    return {float(window[0]), float(window[1]), float(window[2]), float(window[3])};
+}
+
+nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
+    Device& device = denoiser.device();
+    const int width = denoiser.width(), height = denoiser.height();
+    const size_t pixels = size_t(width) * height;
+
+    ImageReader reader(device, images, width, height);
+    DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
+    inputs.window = read_window(images);
+    Buffer<float> color(device, pixels * 3, "the denoised image");
+    Buffer<float> variance(device, pixels, "the variance image"), history_length(device, pixels, "the history image");
+    {
+        nb::gil_scoped_release release;
+        denoiser.denoise(inputs, {color.data(), variance.data(), history_length.data()}, reset);
+    }
+    nb::dict result;
+    result["color"] = give_image(std::move(color), width, height, 3);
+    result["variance"] = give_image(std::move(variance), width, height, 1);
+    result["history_length"] = give_image(std::move(history_length), width, height, 1);
+    return result;
+}
+
+// arrays and result: name -> float32 [H, W] or [H, W, C].
+nb::dict run_stage(Denoiser& denoiser, const std::string& stage, const nb::dict& arrays, int level) {
+    HostImages images;
+    for (const auto& [key, value] : arrays) {
+        const auto array = nb::cast<HostArray<float>>(value);
+        images[nb::cast<std::string>(key)] = {array.ndim() == 3 ? int(array.shape(2)) : 1,
+                                              {array.data(), array.data() + array.size()}};
+    }
+    nb::dict result;
+    for (auto& [name, image] : denoiser.run_stage(stage, images, level)) {
+        const size_t shape[3] = {size_t(denoiser.height()), size_t(denoiser.width()), size_t(image.channels)};
+        result[name.c_str()] = numpy_image(std::move(image.values), image.channels == 1 ? 2 : 3, shape);
+    }
+    return result;
+}
+
+nb::list denoise_settings() {
+    nb::list table;
+    for (const SettingInfo& info : denoise_setting_table) {
+        nb::dict row;
+        row["name"] = std::string(info.name);
+        row["type"] = std::string(info.type);
+        row["default"] = info.fallback;
+        row["minimum"] = info.minimum;
+        row["maximum"] = info.maximum;
+        row["unit"] = std::string(info.unit);
+        row["symbol"] = std::string(info.symbol);
+        row["meaning"] = std::string(info.meaning);
+        table.append(row);
+    }
+    return table;
+}
+
+}  // namespace
+}  // namespace svgf
+
+NB_MODULE(SVGF_MODULE, module) {
+    using namespace svgf;
+    nb::register_exception_translator(translate_error);
+
+    module.def("list_devices", [] {
+        std::vector<std::tuple<std::string, size_t, std::string>> devices;
+        for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
+        return devices;
+    }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
+    module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
+#if !defined(SVGF_CUDA)
+    module.def("processor_has_avx2", [] {
+#if defined(__x86_64__) && defined(__GNUC__)
+        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+#else
+        return false;
+#endif
+    });
+    module.attr("has_avx2_build") = bool(SVGF_HAS_AVX2_BUILD);
+#endif
+
+    nb::class_<Device>(module, "Device")
+        .def(nb::new_([](int index) { return std::make_shared<Device>(index); }), "index"_a = 0)
+        .def("take_timings", [](Device& device) {
+            std::vector<std::pair<std::string, double>> timings;
+            {
+                nb::gil_scoped_release release;
+                timings = device.take_timings();
+            }
+            nb::dict result;
+            for (const auto& [name, milliseconds] : timings) result[name.c_str()] = milliseconds;
+            return result;
+        })
+        .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
+        .def("interrupt", &Device::interrupt)
+        .def("clear_interrupt", &Device::clear_interrupt)
+        .def("to_numpy", &to_numpy, "image"_a);
+
+#if defined(SVGF_CUDA)
+    nb::class_<DeviceImage>(module, "DeviceImage")
+        .def("__dlpack__", &dlpack_capsule)
+        .def("__dlpack_device__", [](const DeviceImage& image) {
+            return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); }, image.pixels);
+        })
+        .def_prop_ro("shape", [](const DeviceImage& image) {
+            return image.channels == 1 ? nb::object(nb::make_tuple(image.height, image.width))
+                                       : nb::object(nb::make_tuple(image.height, image.width, image.channels));
+        });
+#endif
+
+    nb::class_<Mesh>(module, "Mesh")
+        .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
+             "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
+        .def_prop_ro("bytes", &Mesh::bytes);
+
+    nb::class_<Texture>(module, "Texture")
+        .def(nb::new_(&make_texture), "device"_a, "pixels"_a, "srgb"_a, "interpolation"_a,
+             "extension"_a);
+
+    // Tracer and Denoiser keep the device alive: it is used when they run, and by their buffers until they are gone.
+    nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
+        .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
+             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a)
+        .def("set_materials", [](Tracer& tracer, HostArray<float> materials, std::vector<std::shared_ptr<Texture>> textures) {
+            tracer.set_materials(span_of(materials), std::move(textures));
+        }, "materials"_a, "textures"_a)
+        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
+             "triangle_light_scale"_a, "world_radiance"_a)
+        .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
+             "previous_window"_a, "clip"_a)
+        .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
+             "pixel_filter"_a, "signals"_a);
+
+    nb::class_<Denoiser>(module, "Denoiser")
+        .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,
+                            const nb::dict& settings) {
+            const auto method = denoise_method_from_name(method_name);
+            if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
+            new (self) Denoiser(device, width, height, *method, read_settings(settings));
+        }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
+        .def("denoise", &denoise, "inputs"_a, "reset"_a)
+        .def("set_settings", [](Denoiser& denoiser, const nb::dict& settings) {
+            denoiser.set_settings(read_settings(settings));
+        }, "settings"_a)
+        .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
+        .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("buffers", [](const Denoiser& denoiser) {
+            std::vector<std::pair<std::string, size_t>> buffers;
+            for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);
+            return buffers;
+        }, "(name, bytes) of each buffer that the denoiser holds between frames.");
+}

@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+// The denoiser: owns the buffers and the order of the stages.
+//
+//   method   stages
+//   svgf     demodulate -> temporal -> variance -> atrous x levels -> modulate      [Schied17]
+//   eaw      demodulate -> atrous x levels -> modulate                              [Dammertz10]
+//   none     demodulate -> modulate
+//
+// Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/vec.h"
+#include "device/device.h"
+#include "denoise/guides.h"
+#include "denoise/settings.h"
+
+namespace svgf {
+
+enum class DenoiseMethod { none, eaw, svgf };
+
+std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name);
+
+inline constexpr int max_signals = 2;
+
+// A public image on the device: [H, W, channels], row 0 on top, float32 (object_id: int32). Null: not given.
+struct ImageView {
+    const void* data = nullptr;
+    int channels = 0;
+};
+
+// What one frame brings, all on the device. Bad values are repaired (guides.h), not refused.
+struct DenoiseInputs {
+    int signals = 0;                        // 1 or 2
+    const float* signal[max_signals] = {};  // [H, W, 3] radiance
+    const float* albedo[max_signals][2] = {};  // [H, W, 3], summed; both null: 1
+    const float* emission = nullptr;        // [H, W, 3]; null: 0
+    const float* normal = nullptr;          // [H, W, 3] world space
+    const float* depth = nullptr;           // [H, W] planar
+    const float* depth_gradient = nullptr;  // [H, W, 2] per pixel; null: from differences of depth
+    const float* motion = nullptr;          // [H, W, 2 or 3]; null: nothing moved
+    int motion_channels = 3;                // 2: the expected previous depth is unknown
+    const int32_t* object_id = nullptr;     // [H, W]; null: 1 where depth < 1e10
+    Vec4 window = default_window;           // left, right, bottom, top of the image on the plane one unit ahead
+
+    // Blender's default camera on a square; eaw alone reads the window.
+    static constexpr Vec4 default_window = {-0.36f, 0.36f, -0.36f, 0.36f};
+};
+
+// Fills the inputs by the public names: signals "diffuse" and "specular", "direct" and "indirect" or "color", with
+// "diffuse_albedo", "specular_albedo" or "albedo"; "emission", "normal", "depth", "depth_gradient", "motion",
+// "object_id". `image` gives each by its name, or an empty view. Throws InputError if no signal is given.
+DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* name)>& image);
+
+// Where the results go: float32 images on the device, owned by the caller.
+struct DenoiseOutputs {
+    float* color = nullptr;           // [H, W, 3]
+    float* variance = nullptr;        // [H, W] luminance variance that is left in color; 0 unless svgf
+    float* history_length = nullptr;  // [H, W] frames in the temporal mean; 1 unless svgf, 0 on the background
+};
+
+// An image on the host for run_stage: [H, W, channels] as floats (object ids are exact below 2^24).
+struct HostImage {
+    int channels = 1;
+    std::vector<float> values;
+};
+using HostImages = std::map<std::string, HostImage>;
+
+struct BufferInfo {
+    std::string name;
+    size_t bytes;
+};
+
+class Denoiser {
+public:
+    // width, height >= 1. Allocates the buffers of one signal; the first frame with two adds the other's.
+    Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings);
+
+    // One frame. reset forgets the history first, as does another number of signals than last frame's.
+    void denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset);
+
+    // Takes effect at the next frame, history stays.
+    void set_settings(const DenoiseSettings& settings) { settings_ = settings; }
+
+    // Values of the last frame's (or stage's) inputs and history that were repaired. Waits for the device.
+    int repaired() const;
+
+    std::vector<BufferInfo> buffers() const;
+
+    // One stage alone, on host images; for tests. Uses this denoiser's buffers, so it ends the history. level: of
+    // "atrous". Names ending in a digit are one per signal, from 0; guides: normal, depth, depth_gradient, object_id.
+    //   demodulate  the public images -> illumination0, guides
+    //   temporal    illumination0, guides, motion, and unless there is no history prev_ + guides, hist_color0,
+    //               hist_moments0, hist_length -> color0, moments0, history_length
+    //   variance    moments0, history_length, guides -> variance0
+    //   atrous      color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf)
+    //   modulate    color0, variance0 (svgf), the public images -> color, variance
+    HostImages run_stage(const std::string& stage, const HostImages& arrays, int level = 0);
+
+    Device& device() { return device_; }
+    int width() const { return width_; }
+    int height() const { return height_; }
+    DenoiseMethod method() const { return method_; }
+
+private:
+    // A signal's images. `working` is what the stages hand on, `history` the first level of the frame before.
+    struct SignalBuffers {
+        Buffer<Vec4> working, scratch, history;    // rgb, luminance variance
+        Buffer<Vec2> moments, previous_moments;    // mean, variance of luminance
+    };
+    // The repaired G-buffer, see guides.h; frames in the history that goes with it.
+    struct GeometryBuffers {
+        Buffer<Vec4> normal_depth;
+        Buffer<Vec2> gradient;
+        Buffer<int32_t> object_id;
+        Buffer<float> history_length;
+    };
+
+    void allocate_signal(int signal);
+    int levels() const { return method_ == DenoiseMethod::none ? 0 : settings_.levels; }
+    Buffer<Vec4>& filtered(int signal, int levels);
+    Guides guides_of(const GeometryBuffers& buffers) const;
+    void upload_guides(const HostImages& arrays, const std::string& prefix, GeometryBuffers& buffers);
+    template <int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
+    template <int Signals> void demodulate(const DenoiseInputs& inputs);
+    template <int Signals> void temporal(const DenoiseInputs& inputs);
+    template <int Signals> void variance();
+    template <int Signals> void atrous(int level, const Vec4& window);
+    template <int Signals> void modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
+    template <int Signals> HostImages run_stage_of(const std::string& stage, const HostImages& arrays, int level);
+
+    Device& device_;
+    int width_, height_;
+    DenoiseMethod method_;
+    DenoiseSettings settings_;
+    int signals_ = 0;           // of the last frame
+    bool has_history_ = false;  // previous_ and the signals' history hold the frame before
+    SignalBuffers signal_[max_signals];
+    GeometryBuffers geometry_, previous_;
+    Buffer<int> repaired_;
+};
+
+}  // namespace svgf

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage "modulate": the filtered signals times their albedos, summed, plus what shines by itself [Schied17, Sec. 4].
+// Reads the public albedos and emission again, and repairs them as demodulate does.
+#pragma once
+
+#include "denoise/demodulate.h"
+
+namespace svgf {
+
+template <int Signals>
+struct Modulate {
+    int width;
+    const Vec4* in_color[Signals];  // rgb, variance
+    const float* in_albedo[Signals][2];
+    const float* in_emission;
+    const Vec4* in_normal_depth;
+    const float* in_length;  // null: no temporal mean, the frame stands alone
+    float* out_color;           // [H, W, 3]
+    float* out_variance;        // [H, W] of luminance, signals taken as independent
+    float* out_history_length;  // [H, W] frames
+    int* out_repaired;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int pixel = y * width + x;
+        int repaired = 0, repaired_before = 0;  // demodulate has counted the albedos
+        Vec3 color;
+        float variance = 0.0f;
+        if (in_emission) color = repair(load3(in_emission, pixel), repaired);
+        for (int s = 0; s < Signals; ++s) {
+            const Vec3 albedo = signal_albedo(in_albedo[s], pixel, repaired_before);
+            const Vec4 c = in_color[s][pixel];
+            color += c.xyz() * albedo;
+            variance += c.w * square(luminance(albedo));
+        }
+        out_color[3 * pixel] = color.x;
+        out_color[3 * pixel + 1] = color.y;
+        out_color[3 * pixel + 2] = color.z;
+        out_variance[pixel] = min(variance, largest_float);
+        out_history_length[pixel] = in_length ? in_length[pixel] : is_surface(in_normal_depth[pixel]) ? 1.0f : 0.0f;
+        count(out_repaired, repaired);
+    }
+};
+
+}  // namespace svgf

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a user may set about the denoiser, declared once: SVGF_DENOISE_SETTINGS makes the struct, its defaults and the
+// table that the bindings list. svgf/settings.py mirrors the table and tests/test_settings.py holds the two together.
+#pragma once
+
+#include <string_view>
+
+namespace svgf {
+
+// SETTING(name, type, default, minimum, maximum, unit, symbol, meaning), ranges inclusive, symbol as in the paper:
+// [Schied17] up to sigma_luminance, [Dammertz10] for eaw_*.
+#define SVGF_DENOISE_SETTINGS(SETTING)                                                                                 \
+    SETTING(alpha, float, 0.2, 0.0, 1.0, "", "alpha",                                                                  \
+            "Least weight of the new frame in the temporal mean of colour; 0 keeps the plain mean of all frames.")     \
+    SETTING(alpha_moments, float, 0.2, 0.0, 1.0, "", "alpha",                                                          \
+            "Least weight of the new frame in the temporal moments of luminance.")                                     \
+    SETTING(sigma_depth, float, 1.0, 0.0, 1e6, "", "sigma_z",                                                          \
+            "Depth differences that the depth gradient does not explain: larger blurs across them.")                   \
+    SETTING(sigma_normal, float, 128.0, 1e-3, 1e6, "", "sigma_n",                                                      \
+            "Exponent of the cosine between normals: smaller blurs across creases.")                                   \
+    SETTING(sigma_luminance, float, 4.0, 0.0, 1e6, "standard deviations", "sigma_l",                                   \
+            "Luminance differences that count as noise: larger blurs more.")                                           \
+    SETTING(levels, int, 5, 0, 8, "", "i",                                                                             \
+            "Levels of the a-trous wavelet transform; level i has taps 2^i pixels apart.")                             \
+    SETTING(spatial_variance_frames, int, 4, 1, 64, "frames", "",                                                      \
+            "Variance is estimated over 7x7 pixels while history is shorter than this.")                               \
+    SETTING(depth_tolerance, float, 0.02, 0.0, 1.0, "share of depth", "",                                              \
+            "Reprojection accepts history whose plane misses the expected depth by at most this.")                     \
+    SETTING(normal_tolerance, float, 0.9, -1.0, 1.0, "cosine", "",                                                     \
+            "Reprojection accepts history whose normal has at least this cosine with the new one.")                    \
+    SETTING(eaw_sigma_color, float, 4.0, 1e-6, 1e6, "demodulated radiance", "sigma_rt",                                \
+            "Colour differences that count as noise at level 0; halved at each level.")                                \
+    SETTING(eaw_sigma_normal, float, 0.3, 1e-6, 1e6, "", "sigma_n",                                                    \
+            "Distance between normals, over the tap spacing, that the filter crosses.")                                \
+    SETTING(eaw_sigma_position, float, 0.3, 1e-6, 1e6, "m", "sigma_x",                                                 \
+            "Distance between world positions that the filter crosses.")
+
+struct DenoiseSettings {
+#define SVGF_MEMBER(name, type, fallback, minimum, maximum, unit, symbol, meaning) type name = type(fallback);
+    SVGF_DENOISE_SETTINGS(SVGF_MEMBER)
+#undef SVGF_MEMBER
+
+    bool operator==(const DenoiseSettings&) const = default;
+};
+
+struct SettingInfo {
+    std::string_view name, type;
+    double fallback, minimum, maximum;  // fallback: the default
+    std::string_view unit, symbol, meaning;
+};
+
+inline constexpr SettingInfo denoise_setting_table[] = {
+#define SVGF_ROW(name, type, fallback, minimum, maximum, unit, symbol, meaning)                                        \
+    {#name, #type, fallback, minimum, maximum, unit, symbol, meaning},
+    SVGF_DENOISE_SETTINGS(SVGF_ROW)
+#undef SVGF_ROW
+};
+
+// False if there is no such setting or the value is outside its range (NaN is).
+inline bool set_denoise_setting(DenoiseSettings& settings, std::string_view name_to_set, double value) {
+#define SVGF_SET(name, type, fallback, minimum, maximum, unit, symbol, meaning)                                        \
+    if (name_to_set == #name) {                                                                                        \
+        if (!(value >= minimum && value <= maximum)) return false;                                                     \
+        settings.name = static_cast<type>(value);                                                                      \
+        return true;                                                                                                   \
+    }
+    SVGF_DENOISE_SETTINGS(SVGF_SET)
+#undef SVGF_SET
+    return false;
+}
+
+}  // namespace svgf

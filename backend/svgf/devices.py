@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The three ways to run a frame, behind one set of names: ``cuda``, ``cpu`` and ``reference``.
+
+``open_device(name)`` gives a Device whose mesh, texture, tracer and denoiser factories have the same signatures on each.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from .errors import DeviceError, InputError
+
+NAMES = ("auto", "cuda", "cpu", "reference")
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """name: what ``open_device`` takes. description: the hardware. reason: why it is not available, else empty."""
+
+    name: str
+    description: str
+    available: bool
+    reason: str = ""
+    memory_bytes: int = 0
+
+
+class Device:
+    """One opened device. Not shared between threads, but for ``interrupt``.
+
+    name: "cuda", "cpu" or "reference". description: the hardware, for tables and headers.
+    """
+
+    def __init__(self, name: str, description: str, module: ModuleType) -> None:
+        self.name = name
+        self.description = description
+        self._module = module
+        self._device = module.Device(0)
+
+    def mesh(self, *arguments: Any, **named: Any) -> Any:
+        return self._module.Mesh(self._device, *arguments, **named)
+
+    def texture(self, *arguments: Any, **named: Any) -> Any:
+        return self._module.Texture(self._device, *arguments, **named)
+
+    def tracer(self) -> Any:
+        return self._module.Tracer(self._device)
+
+    def denoiser(self, *arguments: Any, **named: Any) -> Any:
+        return self._module.Denoiser(self._device, *arguments, **named)
+
+    def take_timings(self) -> dict[str, float]:
+        """Milliseconds per stage since the last call. Waits for the device."""
+        return self._device.take_timings()
+
+    def interrupt(self) -> None:
+        """From any thread: the running stage, or else the next one, raises Interrupted."""
+        self._device.interrupt()
+
+    def clear_interrupt(self) -> None:
+        """Forgets an interrupt that came while nothing ran."""
+        self._device.clear_interrupt()
+
+    def to_numpy(self, image: Any) -> np.ndarray:
+        """A copy on the host of an image that a tracer or a denoiser of this device returned."""
+        return self._device.to_numpy(image)
+
+    def __repr__(self) -> str:
+        return f"<svgf.Device {self.name}: {self.description}>"
+
+
+def _load_native(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"._native.{name}", __package__)
+    except ImportError as error:
+        if name == "cuda" and getattr(error, "name", None):
+            reason = "This build of svgf has no CUDA module."
+            hint = "Install it again with a CUDA compiler, or with network access so that pip can fetch one."
+        else:
+            reason = f"The native module svgf._native.{name} cannot be loaded: {error}."
+            hint = "Install svgf again on this machine: pip install --force-reinstall --no-deps svgf"
+        raise DeviceError(reason, hint) from error
+
+
+def _cpu_module() -> ModuleType:
+    """The fastest build that this processor can run."""
+    baseline = _load_native("cpu")
+    return _load_native("cpu_avx2") if baseline.has_avx2_build and baseline.processor_has_avx2() else baseline
+
+
+def _info(name: str) -> DeviceInfo:
+    if name == "reference":
+        return DeviceInfo(name, f"numpy {np.__version__}, float64", True)
+    try:
+        module = _cpu_module() if name == "cpu" else _load_native("cuda")
+    except DeviceError as error:
+        return DeviceInfo(name, "-", False, str(error))
+    description, memory, reason = module.list_devices()[0]
+    return DeviceInfo(name, description, not reason, reason, memory)
+
+
+def available_devices() -> list[DeviceInfo]:
+    """cuda, cpu and reference, in this order, whether they can be used or not."""
+    return [_info(name) for name in NAMES[1:]]
+
+
+def open_device(name: str = "auto") -> Device:
+    """name: "cuda", "cpu", "reference", or "auto": cuda where there is a usable GPU and driver, else cpu.
+
+    Raises InputError for an unknown name, DeviceError with the reason for a device that is not available.
+    """
+    if name not in NAMES:
+        raise InputError(f'There is no device "{name}".', f"Choose one of {', '.join(NAMES)}.")
+    if name == "auto":
+        name = "cuda" if _info("cuda").available else "cpu"
+    info = _info(name)
+    if not info.available:
+        raise DeviceError(f'Device "{name}" is not available: {info.reason}')
+    if name == "reference":
+        from . import reference
+
+        return Device(name, info.description, reference)
+    return Device(name, info.description, _cpu_module() if name == "cpu" else _load_native("cuda"))

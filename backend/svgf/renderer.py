@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frame's way: scene -> flat scene -> device -> gbuffer and path -> denoise -> Frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .devices import Device, open_device
+from .errors import InputError
+from .flatten import FlatScene, flatten
+from .frame import Frame
+from .scene import Mesh, Scene, Texture
+from .scene_validation import SceneValidator
+from .settings import Settings
+
+# Above this many samples a frame is traced in several launches, so that progress shows and Esc is heard.
+SAMPLES_PER_LAUNCH = 16
+
+
+class SceneUploader:
+    """Keeps a tracer's copy of the scene up to date, and uploads only what changed since the last call."""
+
+    def __init__(self, device: Device, tracer: Any) -> None:
+        self._device = device
+        self._tracer = tracer
+        # Keyed by identity; the value holds the source too, so that an id is never that of another, newer object.
+        self._meshes: dict[int, tuple[Mesh, Any]] = {}
+        self._textures: dict[int, tuple[Texture, Any]] = {}
+        self.last: FlatScene | None = None
+
+    def upload(self, flat: FlatScene) -> None:
+        """flat: the frame to trace next. Raises OutOfMemory, DeviceError."""
+        meshes = self._keep(self._meshes, flat.meshes, self._new_mesh)
+        textures = self._keep(self._textures, flat.textures, self._new_texture)
+        if meshes is not None or self._changed(flat, INSTANCE_FIELDS):
+            self._tracer.set_instances(
+                [self._meshes[id(mesh)][1] for mesh in flat.meshes],
+                flat.instance_mesh,
+                *(np.asarray(getattr(flat, name), self._dtype) for name in TRANSFORM_FIELDS),
+                flat.object_id,
+                flat.material_start,
+                flat.material_table,
+            )
+        if textures is not None or self._changed(flat, ("materials",)):
+            self._tracer.set_materials(
+                np.asarray(flat.materials, self._dtype), [self._textures[id(texture)][1] for texture in flat.textures]
+            )
+        if self._changed(flat, LIGHT_FIELDS):
+            self._tracer.set_lights(
+                flat.light_kind,
+                *(np.asarray(getattr(flat, name), self._dtype) for name in LIGHT_FIELDS[1:4]),
+                float(flat.triangle_light_scale),
+                np.asarray(flat.world_radiance, self._dtype),
+            )
+        self._tracer.set_camera(*(np.asarray(getattr(flat, name), self._dtype) for name in CAMERA_FIELDS))
+        self.last = flat
+
+    @property
+    def _dtype(self) -> type:
+        return np.float64 if self._device.name == "reference" else np.float32
+
+    def _changed(self, flat: FlatScene, names: tuple[str, ...]) -> bool:
+        last = self.last
+        return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
+
+    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any], Any]) -> Any:
+        """Brings the cache to exactly `wanted`. Returns None if it held that already."""
+        keys = {id(source) for source in wanted}
+        if keys == cache.keys():
+            return None
+        for key in cache.keys() - keys:
+            del cache[key]
+        for source in wanted:
+            if id(source) not in cache:
+                cache[id(source)] = (source, make(source))
+        return cache
+
+    def _new_mesh(self, mesh: Mesh) -> Any:
+        return self._device.mesh(
+            mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
+        )
+
+    def _new_texture(self, texture: Texture) -> Any:
+        return self._device.texture(texture.pixels, texture.srgb, int(texture.interpolation), int(texture.extension))
+
+
+TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
+INSTANCE_FIELDS = ("instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table")
+LIGHT_FIELDS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale", "world_radiance")
+CAMERA_FIELDS = ("camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip")
+
+
+def _same(a: Any, b: Any) -> bool:
+    return a is b or np.array_equal(a, b)
+
+
+class Renderer:
+    """Renders scenes one after the other; temporal history carries over from each frame to the next.
+
+    settings: what to render and how. device: a name for ``open_device``, or an opened Device.
+    """
+
+    def __init__(self, settings: Settings | None = None, device: str | Device = "auto") -> None:
+        self.settings = settings or Settings()
+        self.device = open_device(device) if isinstance(device, str) else device
+        self._tracer = self.device.tracer()
+        self._uploader = SceneUploader(self.device, self._tracer)
+        self._validator = SceneValidator()
+        self._denoiser: Any = None
+        self._denoiser_size = (0, 0)
+        self._last_frame: int | None = None
+        self._last_scene: Scene | None = None
+        self._resting: Scene | None = None  # the last scene without motion, while it is rendered again and again
+        self._repeats = 0
+        self._reset_reason = "first frame"
+
+    def reset(self, reason: str) -> None:
+        """The next frame starts without history; reason is kept in Frame.reset."""
+        self._reset_reason = reason
+
+    def interrupt(self) -> None:
+        """From any thread: the frame that is being rendered raises Interrupted."""
+        self.device.interrupt()
+
+    def render(self, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
+        """Renders the next frame of an animation, or the same scene again with new samples.
+
+        scene: history is kept where its frame number follows that of the last call, or where it is the very same scene,
+        which then stands still. progress: called with the finished share of the samples, in (0, 1].
+        Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them the next
+        frame starts afresh.
+        """
+        self._validator.check(scene)
+        settings = self.settings
+        width = settings.width or scene.defaults.width
+        height = settings.height or scene.defaults.height
+        bounces = scene.defaults.bounces if settings.bounces is None else settings.bounces
+        exposure = scene.defaults.exposure if settings.exposure is None else settings.exposure
+        if width < 1 or height < 1:
+            raise InputError(f"The image size is {width}x{height}.", "Both sides must be at least 1 pixel.")
+
+        reset = self._find_reset(scene, width, height)
+        self.device.clear_interrupt()
+        try:
+            start = time.perf_counter()
+            if self._repeats == 1:
+                self._resting = scene.at_rest()
+            flat = flatten(self._resting if self._repeats else scene, self._uploader.last)
+            self._uploader.upload(flat)
+            update_ms = (time.perf_counter() - start) * 1e3
+            images = self._trace(flat, width, height, scene.frame + self._repeats, bounces, progress)
+            denoised = self._denoise(flat, images, width, height, reset)
+            timings = {"update": update_ms, **self.device.take_timings()}
+        except BaseException:
+            self.reset("the last frame was not finished")
+            self._last_scene = None
+            raise
+        self._last_scene, self._last_frame, self._reset_reason = scene, scene.frame, ""
+        return self._finish(scene, images, denoised, exposure, timings, reset)
+
+    def _find_reset(self, scene: Scene, width: int, height: int) -> str:
+        """Why history cannot go on, or an empty string. Counts how often the same scene came in a row."""
+        self._repeats = self._repeats + 1 if scene is self._last_scene else 0
+        if self._reset_reason:
+            return self._reset_reason
+        if (width, height) != self._denoiser_size:
+            return "the image size changed"
+        if scene.cut:
+            return "camera cut"
+        if not self._repeats and scene.frame != self._last_frame + 1:
+            return f"frame {scene.frame} does not follow frame {self._last_frame}"
+        return ""
+
+    def _trace(
+        self,
+        flat: FlatScene,
+        width: int,
+        height: int,
+        frame: int,
+        bounces: int,
+        progress: Callable[[float], None] | None,
+    ) -> dict[str, Any]:
+        """The images of the tracer; the signals are means over all samples of the frame."""
+        settings = self.settings
+        first = (frame * settings.samples) & 0xFFFFFFFF  # the same noise for a frame, wherever the animation starts
+        images: dict[str, Any] = {}
+        sums: dict[str, np.ndarray] = {}
+        done = 0
+        while done < settings.samples:
+            count = min(SAMPLES_PER_LAUNCH, settings.samples - done)
+            traced = self._tracer.trace(
+                width,
+                height,
+                sample=(first + done) & 0xFFFFFFFF,
+                samples=count,
+                seed=settings.seed,
+                bounces=bounces,
+                effects=int(flat.effects),
+                pixel_filter=settings.resolved_pixel_filter,
+                signals=settings.signals,
+            )
+            images = images or traced
+            if settings.samples > SAMPLES_PER_LAUNCH:
+                for name in RADIANCE_IMAGES & traced.keys():
+                    # float64: a sum of many thousand samples keeps every one of them.
+                    part = self.device.to_numpy(traced[name]).astype(np.float64) * (count / settings.samples)
+                    sums[name] = sums[name] + part if name in sums else part
+            done += count
+            if progress:
+                progress(done / settings.samples)
+        if sums:
+            images.update({name: total.astype(np.float32) for name, total in sums.items()})
+        return images
+
+    def _denoise(self, flat: FlatScene, images: dict[str, Any], width: int, height: int, reset: str) -> dict[str, Any]:
+        if self._denoiser is None or self._denoiser_size != (width, height):
+            self._denoiser = self.device.denoiser(
+                width, height, self.settings.method, self.settings.denoise.as_dict()
+            )
+            self._denoiser_size = (width, height)
+        return self._denoiser.denoise({**images, "window": flat.window}, reset=bool(reset))
+
+    def _finish(
+        self,
+        scene: Scene,
+        images: dict[str, Any],
+        denoised: dict[str, Any],
+        exposure: float,
+        timings: dict[str, float],
+        reset: str,
+    ) -> Frame:
+        def host(image: Any) -> np.ndarray:
+            array = image if isinstance(image, np.ndarray) else self.device.to_numpy(image)
+            return array if array.dtype == np.int32 else array.astype(np.float32, copy=False)
+
+        noisy = sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys()))
+        return Frame(
+            frame=scene.frame,
+            color=host(denoised["color"]) * np.float32(exposure),
+            noisy=noisy * np.float32(exposure),
+            albedo=host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
+            normal=host(images["normal"]),
+            depth=host(images["depth"]),
+            motion=host(images["motion"]),
+            roughness=host(images["roughness"]),
+            object_id=host(images["object_id"]),
+            variance=host(denoised["variance"]) * np.float32(exposure**2),
+            history_length=host(denoised["history_length"]),
+            timings=timings,
+            reset=reset,
+        )
+
+
+RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may set. Values out of range raise InputError where they are made, not where they are used."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from .errors import InputError
+
+METHODS = ("svgf", "eaw", "none")
+SIGNALS = ("diffuse_specular", "direct_indirect")
+PIXEL_FILTERS = ("auto", "box", "center")
+
+
+def _setting(
+    default: float, minimum: float, maximum: float, meaning: str, *, unit: str = "", symbol: str = ""
+) -> Any:
+    """A field that knows its range (inclusive), unit, symbol in the paper and meaning."""
+    return field(
+        default=default,
+        metadata={"minimum": minimum, "maximum": maximum, "unit": unit, "symbol": symbol, "meaning": meaning},
+    )
+
+
+@dataclass(frozen=True)
+class DenoiseSettings:
+    """How to denoise. The same list as backend/native/denoise/settings.h; each field's metadata holds its minimum,
+    maximum (inclusive), unit, symbol in the paper and meaning. Symbols are those of [Schied17]; eaw_*: of [Dammertz10].
+
+    Raises InputError naming the field and its range.
+    """
+
+    alpha: float = _setting(
+        0.2, 0.0, 1.0,
+        "Least weight of the new frame in the temporal mean of colour; 0 keeps the plain mean of all frames.",
+        symbol="alpha",
+    )  # fmt: skip
+    alpha_moments: float = _setting(
+        0.2, 0.0, 1.0, "Least weight of the new frame in the temporal moments of luminance.", symbol="alpha"
+    )
+    sigma_depth: float = _setting(
+        1.0, 0.0, 1e6, "Depth differences that the depth gradient does not explain: larger blurs across them.",
+        symbol="sigma_z",
+    )  # fmt: skip
+    sigma_normal: float = _setting(
+        128.0, 1e-3, 1e6, "Exponent of the cosine between normals: smaller blurs across creases.", symbol="sigma_n"
+    )
+    sigma_luminance: float = _setting(
+        4.0, 0.0, 1e6, "Luminance differences that count as noise: larger blurs more.",
+        unit="standard deviations", symbol="sigma_l",
+    )  # fmt: skip
+    levels: int = _setting(
+        5, 0, 8, "Levels of the a-trous wavelet transform; level i has taps 2^i pixels apart.", symbol="i"
+    )
+    spatial_variance_frames: int = _setting(
+        4, 1, 64, "Variance is estimated over 7x7 pixels while history is shorter than this.", unit="frames"
+    )
+    depth_tolerance: float = _setting(
+        0.02, 0.0, 1.0, "Reprojection accepts history whose plane misses the expected depth by at most this.",
+        unit="share of depth",
+    )  # fmt: skip
+    normal_tolerance: float = _setting(
+        0.9, -1.0, 1.0, "Reprojection accepts history whose normal has at least this cosine with the new one.",
+        unit="cosine",
+    )  # fmt: skip
+    eaw_sigma_color: float = _setting(
+        4.0, 1e-6, 1e6, "Colour differences that count as noise at level 0; halved at each level.",
+        unit="demodulated radiance", symbol="sigma_rt",
+    )  # fmt: skip
+    eaw_sigma_normal: float = _setting(
+        0.3, 1e-6, 1e6, "Distance between normals, over the tap spacing, that the filter crosses.", symbol="sigma_n"
+    )
+    eaw_sigma_position: float = _setting(
+        0.3, 1e-6, 1e6, "Distance between world positions that the filter crosses.", unit="m", symbol="sigma_x"
+    )
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            _check_number(
+                f"DenoiseSettings.{item.name}",
+                getattr(self, item.name),
+                item.metadata["minimum"],
+                item.metadata["maximum"],
+                whole=item.type == "int",
+            )
+
+    @classmethod
+    def from_dict(cls, values: dict[str, float]) -> DenoiseSettings:
+        """The inverse of ``as_dict``; fields that are not given keep their defaults. InputError for unknown names."""
+        names = [item.name for item in fields(cls)]
+        for name in values:
+            if name not in names:
+                raise InputError(f'There is no denoise setting "{name}".', _suggestion(name, names))
+        return cls(**values)
+
+    def as_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to render. Raises InputError naming the field and its range.
+
+    width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
+    only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
+    method: "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
+    filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
+    "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
+    None: the scene's. denoise: DenoiseSettings.
+    """
+
+    width: int | None = None
+    height: int | None = None
+    bounces: int | None = None
+    samples: int = 1
+    seed: int = 0
+    method: str = "svgf"
+    signals: str = "diffuse_specular"
+    pixel_filter: str = "auto"
+    exposure: float | None = None
+    denoise: DenoiseSettings = field(default_factory=DenoiseSettings)
+
+    def __post_init__(self) -> None:
+        for name, minimum, maximum in (
+            ("width", 1, 65536),
+            ("height", 1, 65536),
+            ("bounces", 0, 1024),
+            ("samples", 1, 2**31 - 1),
+            ("seed", 0, 2**32 - 1),
+        ):
+            value = getattr(self, name)
+            if value is not None or name in ("samples", "seed"):
+                _check_number(f"Settings.{name}", value, minimum, maximum, whole=True)
+        if self.exposure is not None:
+            _check_number("Settings.exposure", self.exposure, 0.0, 1e6, whole=False)
+        check_name("Settings.method", self.method, METHODS)
+        check_name("Settings.signals", self.signals, SIGNALS)
+        check_name("Settings.pixel_filter", self.pixel_filter, PIXEL_FILTERS)
+        if not isinstance(self.denoise, DenoiseSettings):
+            raise InputError(
+                f"Settings.denoise is a {type(self.denoise).__name__}.", "Give a svgf.DenoiseSettings (svgf.settings)."
+            )
+
+    @property
+    def resolved_pixel_filter(self) -> str:
+        """pixel_filter with "auto" decided."""
+        if self.pixel_filter != "auto":
+            return self.pixel_filter
+        return "box" if self.method == "none" else "center"
+
+
+def check_name(what: str, name: Any, names: tuple[str, ...]) -> None:
+    """Raises InputError unless name is one of names; the hint lists them and says which one was probably meant."""
+    if name not in names:
+        raise InputError(f"{what} is {name!r}.", _suggestion(name, names))
+
+
+def _suggestion(name: Any, names: tuple[str, ...] | list[str]) -> str:
+    close = difflib.get_close_matches(str(name), names, n=1)
+    listed = f"Choose one of {', '.join(names)}."
+    return f'Did you mean "{close[0]}"? {listed}' if close else listed
+
+
+def _check_number(what: str, value: Any, minimum: float, maximum: float, *, whole: bool) -> None:
+    kind = "a whole number" if whole else "a number"
+    hint = f"Give {kind} from {minimum:g} to {maximum:g}." if maximum < 1e6 else f"Give {kind} of at least {minimum:g}."
+    if isinstance(value, bool) or not hasattr(value, "__float__" if not whole else "__index__"):
+        raise InputError(f"{what} is {value!r}.", hint)
+    if not math.isfinite(value) or not minimum <= value <= maximum:
+        raise InputError(f"{what} is {value!r}.", hint)
