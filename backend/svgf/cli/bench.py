@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``svgf bench``: measurements."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+from .options import DeviceOption, JsonOption, parse_size
+
+if TYPE_CHECKING:
+    from ..bench.accuracy import Accuracy
+    from ..bench.stages import StageTime
+    from ..renderer import Renderer
+    from ..scene import Scene
+
+app = typer.Typer(help="Measure what a frame costs.", no_args_is_help=True)
+
+
+@app.callback()
+def bench() -> None:
+    """Measure what a frame costs."""
+
+
+@app.command()
+def stages(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1920x1080",
+    device: DeviceOption = "auto",
+    method: Annotated[str, typer.Option(metavar="NAME", help="svgf, eaw or none.")] = "svgf",
+    bounces: Annotated[
+        int | None, typer.Option(metavar="N", help="Light bounces. Default: what the file says.")
+    ] = None,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure.")] = 32,
+    warm_up: Annotated[int, typer.Option(metavar="N", min=0, help="Frames before them.")] = 8,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Median milliseconds of every stage at one sample per pixel, for each scene."""
+    from ..bench.stages import measure
+    from ..devices import open_device
+    from ..io.files import replacing
+    from ..renderer import Renderer
+    from ..settings import Settings
+    from .progress import progress_bar, render_frame
+
+    paths = _paths(files)
+    image_size = parse_size(size)
+    settings = Settings(*image_size, method=method, bounces=bounces)
+    opened = open_device(device)
+    times: list[StageTime] = []
+    with progress_bar("Measuring", (warm_up + count) * len(paths)) as bar:
+        for path in paths:
+            scenes, export_ms = _read(path, image_size, warm_up + count)
+            renderer: Renderer = Renderer(settings, opened)
+            times += measure(
+                renderer, path.stem, scenes, count, warm_up, export_ms, partial(render_frame, renderer), bar.step
+            )
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(times).encode())
+    if as_json:
+        result = {"device": opened.name, "description": opened.description, "size": list(image_size), "method": method}
+        typer.echo(json.dumps({**result, "stages": [asdict(row) for row in times]}, indent=1))
+    else:
+        _print_table(times, f"{opened.description} ({opened.name}), {size}, {method}: median ms of {count} frames")
+
+
+@app.command()
+def accuracy(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "960x540",
+    device: DeviceOption = "auto",
+    frames: Annotated[str, typer.Option("--frames", metavar="A-B", help="Consecutive frames to render.")] = "1-16",
+    first: Annotated[int, typer.Option(metavar="N", help="The first frame that is measured.")] = 5,
+    reference_spp: Annotated[int, typer.Option(metavar="N", min=1, help="Samples per pixel of the truth.")] = 1024,
+    quick: Annotated[bool, typer.Option("--quick", help="Only 1 sample per pixel, and the input of svgf.")] = False,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw error against time as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What accuracy costs in time: relMSE, FLIP and flicker against milliseconds, for each method and sample count."""
+    from ..bench.accuracy import VARIANTS, converge, measure, plot
+    from ..devices import open_device
+    from ..frame_range import parse_frames
+    from ..io.files import replacing
+    from ..settings import Settings
+    from .progress import progress_bar, render_frame
+    from .sources import open_scenes
+
+    paths = _paths(files)
+    image_size = parse_size(size)
+    settings = Settings(*image_size)
+    opened = open_device(device)
+    variants = [variant for variant in VARIANTS if not quick or variant[1] == 1]
+    rows: list[Accuracy] = []
+    for path in paths:
+        with open_scenes(path, parse_frames(frames), image_size) as source:
+            scenes = list(source)
+        measured = [scene for scene in scenes if scene.frame >= first]
+        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
+            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
+        with progress_bar(f"{path.stem}: variants", len(scenes) * len(variants)) as bar:
+            rows += measure(opened, settings, path.stem, scenes, references, variants, render_frame, bar.step)
+    title = f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(rows).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot(rows, title))
+    if as_json:
+        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
+    else:
+        _print_accuracy(rows, title)
+
+
+def _paths(files: list[Path] | None) -> list[Path]:
+    from .sources import shipped_scenes
+
+    paths = files or list(shipped_scenes().values())
+    if not paths:
+        raise InputError("This installation of svgf has no scenes.", "Install svgf again, or give files.")
+    return paths
+
+
+def _read(path: Path, size: tuple[int, int], most: int) -> tuple[list[Scene], list[float]]:
+    """As many frames as will be rendered at most, and what each took to export (.blend only)."""
+    from .sources import open_scenes
+
+    with open_scenes(path, None, size) as scenes:
+        timed = list(_timed(scenes, most))
+    exported = path.suffix.lower() == ".blend"
+    # The first frame opens the file and exports what later ones share.
+    return [scene for scene, _ in timed], [ms for _, ms in timed[1:]] if exported else []
+
+
+def _timed(scenes: Iterator[Scene], most: int) -> Iterator[tuple[Scene, float]]:
+    for _ in range(most):
+        start = time.perf_counter()
+        scene = next(scenes, None)
+        if scene is None:
+            return
+        yield scene, (time.perf_counter() - start) * 1e3
+
+
+def _csv(rows: Sequence[StageTime] | Sequence[Accuracy]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    return text.getvalue()
+
+
+def _print_table(times: list[StageTime], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..bench.stages import DENOISE_TOTAL
+
+    medians = {(row.scene, row.stage): row.median for row in times}
+    scenes = list(dict.fromkeys(row.scene for row in times))
+    stages = list(dict.fromkeys(row.stage for row in times))
+    # The sums of one scene may precede a stage that only a later scene has.
+    stages.sort(key=lambda stage: stage in {row.stage for row in times[-2:]})
+    table = Table()
+    table.add_column("stage")
+    for scene in scenes:
+        table.add_column(scene, justify="right")
+    for stage in stages:
+        if stage == DENOISE_TOTAL:
+            table.add_section()
+        table.add_row(
+            stage, *(f"{medians[scene, stage]:.3f}" if (scene, stage) in medians else "-" for scene in scenes)
+        )
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+
+
+def _print_accuracy(rows: list[Accuracy], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("scene", "method")
+    for heading in ("spp", "ms", "relMSE", "FLIP", "SSIM", "flicker"):
+        table.add_column(heading, justify="right")
+    last = rows[0].scene
+    for row in rows:
+        if row.scene != last:
+            table.add_section()
+            last = row.scene
+        errors = (f"{value:.4f}" for value in (row.relmse, row.flip, row.ssim, row.flicker))
+        table.add_row(row.scene, row.method, str(row.samples), f"{row.milliseconds:.3f}", *errors)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Multi-layer OpenEXR: frames out with Blender 5's channel names, and the files of Blender 4.5 to 5.2 in.
+
+Everything is written as float32 with lossless ZIP compression. Half would save half of the disk, but it ends at 65504,
+which radiance near a lamp passes, and rounds by up to 0.05 %, more than the difference between our devices.
+
+Encoding and decoding go through memory, so that an operating system's error (a full disk) arrives as itself.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..frame import Frame
+from .files import file_error, replacing
+
+# A file may expand a thousandfold (ZIP's own limit), but a damaged header must not make us allocate a terabyte.
+_FREE_BYTES = 4 << 30
+_LARGEST_EXPANSION = 1100
+# The order in which the channels of a pass are stacked; other suffixes follow, sorted.
+_CHANNEL_ORDER = "RGBAXYZWV"
+
+
+@dataclass(frozen=True)
+class _Pass:
+    name: str
+    channels: str
+    pixels: np.ndarray
+    unit: str
+
+
+def _passes(frame: Frame) -> Iterable[_Pass]:
+    opaque = np.ones((frame.height, frame.width, 1), np.float32)
+    motion = frame.motion
+    next_frame = np.zeros((frame.height, frame.width, 2), np.float32)
+    # Cycles' y axis points up, ours down.
+    vector = np.concatenate([motion[..., 0:1], -motion[..., 1:2], next_frame], axis=2)
+    radiance = "W/(m^2 sr), linear Rec.709"
+    yield _Pass("Combined", "RGBA", np.concatenate([frame.color, opaque], axis=2), f"{radiance}, denoised")
+    yield _Pass("Noisy Image", "RGBA", np.concatenate([frame.noisy, opaque], axis=2), f"{radiance}, as traced")
+    yield _Pass("Denoising Albedo", "RGB", frame.albedo, "1, diffuse plus specular reflectance")
+    yield _Pass("Normal", "XYZ", frame.normal, "1, world space, 0 on the background")
+    yield _Pass("Depth", "Z", frame.depth, "m, along the camera's axis, 1e10 on the background")
+    yield _Pass(
+        "Vector", "XYZW", vector,
+        "px, x right, y up; XY = position at the previous frame - position now; ZW (next frame) unknown: 0",
+    )  # fmt: skip
+    yield _Pass("Depth Change", "V", motion[..., 2], "m, expected depth at the previous frame - depth now")
+    yield _Pass("Object Index", "X", frame.object_id, "1, number of the object, 0 on the background")
+    yield _Pass("Denoising Roughness", "X", frame.roughness, "1, Principled BSDF's roughness")
+    yield _Pass("Variance", "V", frame.variance, "(W/(m^2 sr))^2, of the luminance, left over by the filter")
+    yield _Pass("History Length", "V", frame.history_length, "frames in the temporal mean")
+
+
+def write(
+    frame: Frame,
+    path: str | os.PathLike[str],
+    layer: str = "ViewLayer",
+    metadata: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Writes a frame, whole or not at all.
+
+    metadata: attributes of the header, beside the units of each pass (``svgf.unit.PASS``) and the frame number.
+    Raises InputError, naming the path, where it cannot be written.
+    """
+    import OpenEXR
+
+    header: dict[str, object] = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "colorInteropID": "lin_rec709_scene",
+        "Software": "svgf",
+        "Frame": f"{frame.frame:03d}",
+    }
+    channels = {}
+    for image in _passes(frame):
+        header[f"svgf.unit.{image.name}"] = image.unit
+        planes = image.pixels.reshape(frame.height, frame.width, len(image.channels))
+        for index, channel in enumerate(image.channels):
+            channels[f"{layer}.{image.name}.{channel}"] = np.ascontiguousarray(planes[..., index], np.float32)
+    header.update(metadata or {})
+
+    encoded = io.BytesIO()
+    OpenEXR.File(header, channels).write(encoded)
+    with replacing(path) as file:
+        file.write(encoded.getbuffer())
+
+
+def read(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The passes of a file, whatever number of parts it has.
+
+    Keys are layer and pass, as in ``ViewLayer.Combined``; an image without layers is ``Combined``. Values are float32
+    (uint32 where the file says so), [H, W] for one channel and [H, W, C] for more, in the order RGBA or XYZW, row 0 on
+    top, covering the data window. Raises InputError for anything that is not such a file.
+    """
+    planes: dict[str, dict[str, np.ndarray]] = {}
+    for part in _decode(path).parts:
+        for name, channel in part.channels.items():
+            if channel.xSampling != 1 or channel.ySampling != 1:
+                raise InputError(
+                    f'{os.fspath(path)}: channel "{name}" is subsampled.', "Save the image without chroma subsampling."
+                )
+            image, _, suffix = name.rpartition(".")
+            pixels = channel.pixels
+            planes.setdefault(image or _part_layer(part), {})[suffix] = (
+                pixels if pixels.dtype == np.uint32 else pixels.astype(np.float32)
+            )
+    return {image: _stack(parts) for image, parts in planes.items()}
+
+
+def find_pass(passes: Mapping[str, np.ndarray], name: str, path: str | os.PathLike[str]) -> np.ndarray:
+    """The pass of that name in the first layer that has it. Raises InputError that lists what there is."""
+    for key, pixels in passes.items():
+        if key == name or key.endswith(f".{name}"):
+            return pixels
+    raise InputError(f'{os.fspath(path)} has no pass "{name}".', f"It has: {', '.join(sorted(passes))}.")
+
+
+def is_complete(path: str | os.PathLike[str]) -> bool:
+    """Whether a file can be read to its end: what ``--resume`` asks before it skips a frame."""
+    try:
+        _decode(path)
+    except InputError:
+        return False
+    return True
+
+
+def _decode(path: str | os.PathLike[str]):
+    import OpenEXR
+
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise file_error("read", path, error) from error
+    if not data.startswith(b"\x76\x2f\x31\x01"):
+        raise InputError(f"{os.fspath(path)} is not an OpenEXR file.", "svgf reads .exr files.")
+    try:
+        parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).parts
+        if any(part.header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile) for part in parts):
+            raise InputError(f"{os.fspath(path)} is a deep image.", "svgf reads flat images.")
+        needed = sum(map(_expanded_bytes, parts))
+        if needed > max(_FREE_BYTES, _LARGEST_EXPANSION * len(data)):
+            raise InputError(
+                f"{os.fspath(path)} is damaged: its header asks for {needed >> 30} GiB.", "Render it again."
+            )
+        image = OpenEXR.File(io.BytesIO(data), separate_channels=True)
+        # Parts whose pixels cannot be decoded are left out without an exception.
+        if len(image.parts) != len(parts):
+            raise ValueError("a part cannot be decoded")
+        return image
+    # The binding turns the library's exceptions into these.
+    except (RuntimeError, ValueError, TypeError, OverflowError, MemoryError, OSError) as error:
+        raise InputError(f"{os.fspath(path)} is truncated or damaged.", "Render it again.") from error
+
+
+def _expanded_bytes(part) -> int:
+    low, high = part.header["dataWindow"]
+    width, height = (int(high[axis]) - int(low[axis]) + 1 for axis in (0, 1))
+    return width * height * 4 * len(part.header["channels"])
+
+
+def _part_layer(part) -> str:
+    """The pass of unqualified channels: the part's name, as other writers of multi-part files use it."""
+    return part.header.get("name") or "Combined"
+
+
+def _stack(planes: Mapping[str, np.ndarray]) -> np.ndarray:
+    def rank(suffix: str) -> tuple[int, str]:
+        return (_CHANNEL_ORDER.find(suffix) if suffix in _CHANNEL_ORDER else len(_CHANNEL_ORDER), suffix)
+
+    ordered = [planes[suffix] for suffix in sorted(planes, key=rank)]
+    return ordered[0] if len(ordered) == 1 else np.stack(ordered, axis=-1)
