@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The render engine that Blender calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
+
+import bpy
+import numpy as np
+from svgf.errors import Error, InputError, Interrupted
+from svgf.frame import Frame
+
+from .export import export_frame
+from .session import Session, find_session
+
+_POLL_SECONDS = 0.02  # between looks for Esc
+_OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0, 0) else "IndexOB"
+
+
+class SVGFRenderEngine(bpy.types.RenderEngine):
+    """Real-time path tracing, denoised with spatiotemporal variance-guided filtering."""
+
+    bl_idname = "SVGF"
+    bl_label = "SVGF"
+    bl_use_preview = False
+    bl_use_eevee_viewport = True  # for Material Preview
+    bl_use_shading_nodes_custom = False  # materials are made of Cycles' nodes
+
+    def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer=None) -> None:
+        """Tells Blender which passes there will be."""
+        for name, channels, kind in _passes(renderlayer):
+            self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """One frame of a final render.
+
+        Whatever goes wrong is reported as an error, on which Blender writes no file and ends an animation.
+        """
+        try:
+            self._write(self._render_frame(depsgraph), depsgraph)
+        except Interrupted:
+            return
+        except Error as error:
+            self.report({"ERROR"}, str(error))
+        except BaseException as error:
+            self.report({"ERROR"}, f"svgf failed: {error!r}. The traceback is in the console.")
+            raise
+
+    def _render_frame(self, depsgraph: bpy.types.Depsgraph) -> Frame:
+        if depsgraph.scene.render.use_multiview:
+            raise InputError("Stereo rendering is not supported.", "Turn Stereoscopy off in the output properties.")
+        session = find_session(depsgraph.scene, depsgraph.view_layer)
+        self.update_stats("", "Exporting the scene")
+        scene = export_frame(self, depsgraph, session.exporter)
+        for warning in scene.warnings:
+            if warning not in session.reported:
+                session.reported.add(warning)
+                self.report({"WARNING"}, warning)
+        properties = depsgraph.scene.svgf
+        self.update_stats("", "Rendering")
+        future = session.start(scene, properties.to_settings(), properties.device)
+        return self._wait(session, future)
+
+    def _wait(self, session: Session, future: Future[Frame]) -> Frame:
+        """The finished frame. Raises Interrupted soon after the user pressed Esc."""
+        try:
+            while not future.done() and not self.test_break():
+                wait_for([future], timeout=_POLL_SECONDS)
+                self.update_progress(session.progress)
+        finally:
+            while not future.done():  # again, because the renderer may only just be made
+                session.interrupt()
+                wait_for([future], timeout=_POLL_SECONDS)
+        return future.result()
+
+    def _write(self, frame: Frame, depsgraph: bpy.types.Depsgraph) -> None:
+        """Into Blender's render result, whose bottom row comes first."""
+        rows, columns = _region(frame, depsgraph.scene.render)
+        result = self.begin_result(
+            0, 0, columns.stop - columns.start, rows.stop - rows.start, layer=depsgraph.view_layer.name
+        )
+        images = _images(frame)
+        for render_pass in result.layers[0].passes:
+            image = images.get(render_pass.name)
+            if image is not None:
+                part = image[rows, columns][::-1]
+                render_pass.rect.foreach_set(np.ascontiguousarray(part, np.float32).ravel())
+        self.end_result(result)
+
+
+def _passes(view_layer: bpy.types.ViewLayer) -> Iterator[tuple[str, str, str]]:
+    """(name, channels, kind) of the passes that a view layer asks for."""
+    yield "Combined", "RGBA", "COLOR"
+    if view_layer.use_pass_z:
+        yield "Depth", "Z", "VALUE"
+    if view_layer.use_pass_normal:
+        yield "Normal", "XYZ", "VECTOR"
+    if view_layer.use_pass_vector:
+        yield "Vector", "XYZW", "VECTOR"
+    if view_layer.use_pass_object_index:
+        yield _OBJECT_INDEX, "X", "VALUE"
+
+
+def _images(frame: Frame) -> dict[str, np.ndarray]:
+    """Blender's passes, row 0 on top."""
+    motion = frame.motion
+    # Blender's y axis points up. The way to the next frame, ZW, is not known while rendering.
+    vector = np.dstack([motion[..., 0], -motion[..., 1], np.zeros((frame.height, frame.width, 2), np.float32)])
+    return {
+        "Combined": np.dstack([frame.color, np.ones((frame.height, frame.width), np.float32)]),
+        "Depth": frame.depth,
+        "Normal": frame.normal,
+        "Vector": vector,
+        _OBJECT_INDEX: frame.object_id,
+    }
+
+
+def _region(frame: Frame, render: bpy.types.RenderSettings) -> tuple[slice, slice]:
+    """Rows and columns of the image that Blender's result holds: all of them without a render region."""
+    if not render.use_border:
+        return slice(0, frame.height), slice(0, frame.width)
+    left, right = (int(x * frame.width) for x in (render.border_min_x, render.border_max_x))
+    bottom, top = (int(y * frame.height) for y in (render.border_min_y, render.border_max_y))
+    return slice(frame.height - top, frame.height - bottom), slice(left, right)
+
+
+def register() -> None:
+    bpy.utils.register_class(SVGFRenderEngine)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(SVGFRenderEngine)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The camera, framed exactly as Blender frames it."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from svgf.errors import InputError
+from svgf.scene import Camera
+
+from .findings import Findings
+from .transforms import rigid
+
+
+def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height in pixels of the image that Blender would render."""
+    scale = render.resolution_percentage / 100
+    return max(int(render.resolution_x * scale), 1), max(int(render.resolution_y * scale), 1)
+
+
+def window(
+    camera: bpy.types.Camera, width: int, height: int, pixel_aspect: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    """(left, right, bottom, top) of the image on the plane one unit in front of a perspective camera.
+
+    The sensor spans the image along one axis: the one that `sensor_fit` names, or the longer one with AUTO, which
+    always takes the sensor's width. Shift is measured in units of that axis too.
+    """
+    across, down = width * pixel_aspect[0], height * pixel_aspect[1]
+    horizontal = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and across >= down)
+    sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
+    span = sensor / camera.lens
+    scale = span / (across if horizontal else down)
+    half_width, half_height = across * scale / 2, down * scale / 2
+    x, y = camera.shift_x * span, camera.shift_y * span
+    return x - half_width, x + half_width, y - half_height, y + half_height
+
+
+def check_camera(camera: bpy.types.Object | None, scene: bpy.types.Scene) -> None:
+    """Raises InputError where a scene's camera is missing, or an object of another kind."""
+    if camera is None or camera.type != "CAMERA":
+        raise InputError(
+            f'Scene "{scene.name}" has no camera.', "Add a camera and make it the active one (Ctrl+Numpad 0)."
+        )
+
+
+def export_camera(
+    camera: bpy.types.Object | None, scene: bpy.types.Scene, size: tuple[int, int], findings: Findings
+) -> Camera:
+    """camera: evaluated object. size: (width, height) of the image. Raises InputError where there is no camera."""
+    check_camera(camera, scene)
+    data, render = camera.data, scene.render
+    _find_unsupported(data, findings)
+    # float32 values as Python floats: the same arithmetic on every platform from here on.
+    matrix = np.array(camera.matrix_world, np.float64)
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        findings.add(
+            camera, "a mirrored camera (negative scale) is not supported yet; it is used without the mirroring."
+        )
+    return Camera(
+        camera_to_world=rigid(matrix),
+        window=window(data, *size, (render.pixel_aspect_x, render.pixel_aspect_y)),
+        clip=(data.clip_start, data.clip_end),
+    )
+
+
+def _find_unsupported(camera: bpy.types.Camera, findings: Findings) -> None:
+    if camera.type != "PERSP":
+        name = camera.bl_rna.properties["type"].enum_items[camera.type].name.lower()
+        findings.add(camera, f"{name} cameras are not supported yet; a perspective one is used instead.")
+    if camera.dof.use_dof:
+        findings.add(camera, "depth of field is not supported yet; everything is in focus.")

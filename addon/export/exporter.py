@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The evaluated dependency graph, frame after frame, as scenes that know what moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+import bpy
+import numpy as np
+from svgf.errors import InputError
+from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
+
+from .camera import export_camera, render_size
+from .findings import Findings
+from .instances import Key, collect, object_ids
+from .materials import MaterialTable
+from .meshes import MeshCache
+from .textures import TextureCache
+from .world import export_world
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, eq=False)
+class _Snapshot:
+    """All of one frame but what moved since the one before. The keys are those of the rows of matrices."""
+
+    frame: int
+    camera_name: str
+    camera: Camera
+    keys: dict[Key, int]
+    matrices: np.ndarray
+    meshes: tuple[Mesh, ...]
+    instance_mesh: np.ndarray
+    material_start: np.ndarray
+    material_table: np.ndarray
+    materials: tuple[Material, ...]
+    textures: tuple[Texture, ...]
+    lights: tuple[Light, ...]
+    world: World
+    defaults: RenderDefaults
+    name: str
+    warnings: tuple[str, ...]
+
+
+class Exporter:
+    """Exports the frames of one scene and view layer in turn. What did not change is the same object in each of them.
+
+    The state at the previous frame is that of the last call, whichever frame it was for: ``observe`` takes one in
+    without making a scene of it.
+    """
+
+    def __init__(self) -> None:
+        self._meshes = MeshCache()
+        self._textures = TextureCache()
+        self._last: _Snapshot | None = None
+        self._instances: Instances | None = None
+
+    @property
+    def frame(self) -> int | None:
+        """The frame of the last call."""
+        return self._last and self._last.frame
+
+    def observe(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        size: tuple[int, int] | None = None,
+        camera: bpy.types.Object | None = None,
+    ) -> None:
+        """Makes the depsgraph's frame the previous one of the next export. Arguments as for ``export``."""
+        self._take(depsgraph, size, camera)
+
+    def export(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        size: tuple[int, int] | None = None,
+        camera: bpy.types.Object | None = None,
+    ) -> Scene:
+        """The depsgraph's frame as a scene.
+
+        size: (width, height) of the image in pixels, those of the render settings by default. camera: an evaluated
+        object, the scene's camera by default. Without a call before, nothing moves.
+        Raises InputError without a camera or a mesh.
+        """
+        last = self._last
+        now = self._take(depsgraph, size, camera)
+        if not now.meshes:
+            raise InputError(
+                f'Scene "{now.name}" has no mesh to render at frame {now.frame}.',
+                "Add one, or enable its rendering (the camera icon in the outliner).",
+            )
+        instances = Instances(
+            mesh=now.instance_mesh,
+            object_to_world=now.matrices,
+            previous_object_to_world=_previous_matrices(now, last),
+            object_id=object_ids(now.keys),
+            material_start=now.material_start,
+            material_table=now.material_table,
+        )
+        self._instances = _keep(instances, self._instances)
+        return Scene(
+            meshes=now.meshes,
+            instances=self._instances,
+            materials=now.materials,
+            camera=now.camera,
+            previous_camera=last.camera if last else now.camera,
+            textures=now.textures,
+            lights=now.lights,
+            world=now.world,
+            frame=now.frame,
+            cut=last is not None and last.camera_name != now.camera_name,
+            name=now.name,
+            defaults=now.defaults,
+            warnings=now.warnings,
+        )
+
+    def _take(
+        self, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None, camera: bpy.types.Object | None
+    ) -> _Snapshot:
+        last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
+        size = size or render_size(scene.render)
+        findings = Findings()
+        _find_unsupported(scene, findings)
+        camera = camera or scene.camera
+        exported_camera = export_camera(camera, scene, size, findings)
+        materials = MaterialTable(self._textures, findings)
+        self._meshes.start_frame()
+        placements = collect(depsgraph, self._meshes, materials, findings)
+        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        self._last = _Snapshot(
+            frame=scene.frame_current,
+            camera_name=camera.name_full,
+            camera=_keep(exported_camera, last and last.camera),
+            keys={key: row for row, key in enumerate(placements.keys)},
+            matrices=placements.matrices,
+            meshes=_keep_all(placements.meshes, last and last.meshes),
+            instance_mesh=np.array(placements.mesh, np.int32),
+            material_start=np.array(placements.material_start, np.int32),
+            material_table=np.array(placements.material_table, np.int32),
+            materials=_keep_all(materials.materials, last and last.materials),
+            textures=_keep_all(materials.textures, last and last.textures),
+            lights=_keep_all(placements.lights, last and last.lights),
+            world=_keep(world, last and last.world),
+            defaults=_defaults(scene, size),
+            name=scene.name,
+            warnings=findings.sentences(),
+        )
+        return self._last
+
+
+def export_scene(
+    depsgraph: bpy.types.Depsgraph, *, previous: Exporter | None = None, size: tuple[int, int] | None = None
+) -> Scene:
+    """One evaluated frame as a scene.
+
+    previous: the exporter of the frame before, which is brought up to date; without one, nothing moves.
+    size: (width, height) of the image in pixels, those of the render settings by default.
+    Raises InputError without a camera or a mesh.
+    """
+    return (previous or Exporter()).export(depsgraph, size)
+
+
+def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
+    """float64 [N, 3, 4]: an object that was not there at the previous frame has not moved."""
+    if last is None or not len(now.matrices):
+        return now.matrices
+    rows = np.array([last.keys.get(key, -1) for key in now.keys])
+    known = rows >= 0
+    previous = now.matrices.copy()
+    previous[known] = last.matrices[rows[known]]
+    return now.matrices if np.array_equal(previous, now.matrices) else previous
+
+
+def _defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefaults:
+    render = scene.render
+    cycles = getattr(scene, "cycles", None)  # absent where the Cycles add-on is disabled
+    return RenderDefaults(
+        *size,
+        frames_per_second=render.fps / render.fps_base,
+        bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
+        exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
+    )
+
+
+def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:
+    render = scene.render
+    if render.use_motion_blur:
+        findings.add(scene, "motion blur is not supported yet; frames are sharp.")
+    if render.use_border:
+        findings.add(scene, "the render region is not supported yet; the whole frame is rendered.")
+    if render.film_transparent:
+        findings.add(scene, "a transparent film is not supported yet; the world is seen behind the scene.")
+    if render.use_freestyle:
+        findings.add(scene, "Freestyle is not supported; no lines are drawn.")
+
+
+def _keep(new: _T, old: _T | None) -> _T:
+    """The old object where the new one holds the same."""
+    return old if old is not None and _same(new, old) else new
+
+
+def _keep_all(new: list[_T], old: tuple[_T, ...] | None) -> tuple[_T, ...]:
+    """The old tuple, or at least its members, where the new ones hold the same."""
+    old = old or ()
+    kept = tuple(_keep(item, old[index]) if index < len(old) else item for index, item in enumerate(new))
+    return old if len(kept) == len(old) and all(a is b for a, b in zip(kept, old, strict=True)) else kept
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two dataclasses hold equal values. Large ones come from a cache and are compared by identity there."""
+    if a is b or isinstance(a, Mesh | Texture):
+        return a is b
+    return all(np.array_equal(getattr(a, field.name), getattr(b, field.name)) for field in fields(a))

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an export finds that svgf does not simulate: a sentence for each thing, naming the data-blocks that have it."""
+
+from __future__ import annotations
+
+import bpy
+
+_NAMES_SHOWN = 3
+
+
+class Findings:
+    """Collects findings in the order in which they are met, and says each of them once."""
+
+    def __init__(self) -> None:
+        self._names: dict[tuple[str, str], dict[str, None]] = {}
+
+    def add(self, datablock: bpy.types.ID, text: str) -> None:
+        """text: what is not simulated and what is done instead, ending in a full stop."""
+        kind = datablock.id_type.replace("_", " ").capitalize()
+        self._names.setdefault((kind, text), {})[datablock.name] = None
+
+    def sentences(self) -> tuple[str, ...]:
+        """Such as ``Material "Wall", "Floor": normal maps are not supported yet; ...``."""
+        return tuple(f"{kind} {_enumerate(list(names))}: {text}" for (kind, text), names in self._names.items())
+
+
+def find_light_linking(obj: bpy.types.Object, findings: Findings) -> None:
+    """Of meshes as well as of lamps."""
+    linking = obj.light_linking
+    if linking.receiver_collection is not None or linking.blocker_collection is not None:
+        findings.add(obj, "light linking is not supported yet; lamps shine on everything.")
+
+
+def _enumerate(names: list[str]) -> str:
+    shown = ", ".join(f'"{name}"' for name in names[:_NAMES_SHOWN])
+    return shown if len(names) <= _NAMES_SHOWN else f"{shown} and {len(names) - _NAMES_SHOWN} more"

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What outlives Blender's engine instances: the renderer with its history, and the thread that owns it.
+
+Blender makes a new engine for each frame of an animation. Sessions are kept by scene and view layer, from the start of
+a render job to its end: a new job starts without history, so that its pixels do not depend on what was rendered before.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import bpy
+from svgf.devices import Device, open_device
+from svgf.frame import Frame
+from svgf.renderer import Renderer
+from svgf.scene import Scene
+from svgf.settings import Settings
+
+from .export import Exporter
+
+Key = tuple[int, str]
+
+_sessions: dict[Key, Session] = {}
+_devices: dict[str, Device] = {}
+
+
+class Session:
+    """The exporter and the renderer of a view layer. All calls of the renderer come from one thread of its own.
+
+    progress: finished share of the frame that is being rendered. reported: warnings that this job has shown.
+    """
+
+    def __init__(self) -> None:
+        self.exporter = Exporter()
+        self.progress = 0.0
+        self.reported: set[str] = set()
+        self._renderer: Renderer | None = None
+        self._device_name = ""
+        self._interrupted = False
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="svgf")
+
+    def start(self, scene: Scene, settings: Settings, device: str) -> Future[Frame]:
+        """Renders the next frame in the background. History goes on unless the settings or the device are others.
+
+        The future raises what open_device and Renderer.render raise.
+        """
+        self.progress = 0.0
+        return self._thread.submit(self._render, scene, settings, device)
+
+    def interrupt(self) -> None:
+        """The frame that is being rendered ends with svgf.Interrupted."""
+        renderer = self._renderer
+        if renderer is not None:
+            self._interrupted = True
+            renderer.interrupt()
+
+    def close(self) -> None:
+        """Waits for the thread and frees the device's memory."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+        self._renderer = None
+        if self._interrupted:
+            # An interrupt that came too late for its frame would stop the first one of the next job.
+            _devices.pop(self._device_name, None)
+
+    def _render(self, scene: Scene, settings: Settings, device: str) -> Frame:
+        renderer = self._renderer
+        if renderer is None or renderer.settings != settings or self._device_name != device:
+            self._renderer = None  # its memory is free before the next one asks for some
+            renderer = self._renderer = Renderer(settings, _device(device))
+            self._device_name = device
+        return renderer.render(scene, self._set_progress)
+
+    def _set_progress(self, share: float) -> None:
+        self.progress = share
+
+
+def find_session(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Session:
+    """The session of a view layer, new at the first frame of a job."""
+    key = (scene.original.session_uid, view_layer.name)
+    if key not in _sessions:
+        _sessions[key] = Session()
+    return _sessions[key]
+
+
+def _device(name: str) -> Device:
+    """Opening a device takes a moment, so it stays open until the add-on is disabled."""
+    if name not in _devices:
+        _devices[name] = open_device(name)
+    return _devices[name]
+
+
+@bpy.app.handlers.persistent
+def _close_sessions(*_arguments) -> None:
+    while _sessions:
+        _, session = _sessions.popitem()
+        session.close()
+
+
+def _handler_lists() -> tuple[list, ...]:
+    handlers = bpy.app.handlers
+    return handlers.render_init, handlers.render_complete, handlers.render_cancel, handlers.load_pre
+
+
+def register() -> None:
+    for handlers in _handler_lists():
+        handlers.append(_close_sessions)
+
+
+def unregister() -> None:
+    for handlers in _handler_lists():
+        handlers.remove(_close_sessions)
+    _close_sessions()
+    _devices.clear()
