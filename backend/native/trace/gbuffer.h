@@ -35,6 +35,7 @@ struct GbufferStage {
     Camera camera, previous_camera;
     std::uint32_t sample, seed;
     bool box_filter;
+    bool camera_moves;
 
     Hit* out_hit;
     Vec3* out_normal;          // world, on the viewer's side; 0 on the background
@@ -55,22 +56,26 @@ struct GbufferStage {
         out_hit[i] = hit;
         if (!hit.found()) {
             // Infinitely far: only the camera's rotation moves it.
-            const Vec3 motion = find_motion(camera.project_direction(ray.direction),
-                                            previous_camera.project_direction(ray.direction));
+            Vec3 motion;
+            if (camera_moves)
+                motion = find_motion(camera.project_direction(ray.direction),
+                                     previous_camera.project_direction(ray.direction));
             write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
             return;
         }
         const Surface surface = find_surface(scene, hit);
         const Bsdf<kernel> bsdf(surface, -normalize(ray.direction));
         const ImagePoint now = camera.project(surface.position);
-        const ImagePoint before = previous_camera.project(find_previous_position(scene, hit));
+        // What stands still moves by exactly 0, whatever two projections would round it to.
+        Vec3 motion;
+        if (camera_moves || is_moving(scene, hit))
+            motion = find_motion(now, previous_camera.project(find_previous_position(scene, hit)));
         write(i, bsdf.normal, now.depth, find_depth_gradient(ray.direction, now.depth, bsdf.geometric_normal),
               scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
-              bsdf.diffuse_albedo, bsdf.specular_albedo, find_motion(now, before));
+              bsdf.diffuse_albedo, bsdf.specular_albedo, motion);
     }
 
 private:
-    // Both positions go through the same projection, so that what stands still moves by exactly 0.
     SVGF_HD static Vec3 find_motion(ImagePoint now, ImagePoint before) {
         const Vec3 motion{before.point.x - now.point.x, before.point.y - now.point.y, before.depth - now.depth};
         return before.depth > 0.0f && is_finite(motion) ? motion : Vec3{no_motion, no_motion, 0.0f};

@@ -89,6 +89,17 @@ SVGF_HD inline Surface find_surface(const SceneView& scene, const Hit& hit) {
     return surface;
 }
 
+// Whether the point that was hit may have been elsewhere at the previous frame.
+SVGF_HD inline bool is_moving(const SceneView& scene, const Hit& hit) {
+    if (scene.meshes[scene.instances[hit.instance].mesh].previous_positions) return true;
+    const Placement& placement = scene.placements[hit.instance];
+    for (int i = 0; i < 3; ++i) {
+        const Vec4 now = placement.object_to_world.row[i], before = placement.previous_object_to_world.row[i];
+        if (now.x != before.x || now.y != before.y || now.z != before.z || now.w != before.w) return true;
+    }
+    return false;
+}
+
 // Where the point that was hit was at the previous frame.
 SVGF_HD inline Vec3 find_previous_position(const SceneView& scene, const Hit& hit) {
     const MeshView& mesh = scene.meshes[scene.instances[hit.instance].mesh];

@@ -268,6 +268,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .sample = frame.sample,
         .seed = frame.seed,
         .box_filter = box_filter,
+        .camera_moves = covers(Effects(frame.effects), Effects::camera_motion),
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
