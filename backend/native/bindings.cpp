@@ -80,7 +80,9 @@ nb::object dlpack_capsule(nb::handle self, nb::args, nb::kwargs) {
             using Value = std::remove_pointer_t<decltype(buffer.data())>;
             nb::ndarray<> array(buffer.data(), image.channels == 1 ? 2 : 3, shape, self, nullptr, nb::dtype<Value>(),
                                 device_type, buffer.device().index());
-            return nb::object(nb::cast(array).attr("__dlpack__")());
+            // Older versions of nanobind hand out the capsule itself.
+            nb::object exported = nb::cast(array);
+            return nb::hasattr(exported, "__dlpack__") ? nb::object(exported.attr("__dlpack__")()) : exported;
         },
         image.pixels);
 }
