@@ -367,6 +367,8 @@ nb::list denoise_settings() {
 NB_MODULE(SVGF_MODULE, module) {
     using namespace svgf;
     nb::register_exception_translator(translate_error);
+    // At exit objects may outlive the module, held by whoever made them; that is no news for a user's terminal.
+    nb::set_leak_warnings(false);
 
     module.def("list_devices", [] {
         std::vector<std::tuple<std::string, size_t, std::string>> devices;
