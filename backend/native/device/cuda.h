@@ -12,13 +12,15 @@
 #include <vector>
 
 #include "device/error.h"
+#include "device/launch_shape.h"
 
 namespace svgf {
 
 #if defined(__CUDACC__)
-template <class Stage>
-__global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage stage, int width, int height) {
-    const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y;
+template <class Stage, LaunchShape shape = launch_shape_of<Stage>()>
+__global__ void __launch_bounds__(shape.width* shape.height, shape.blocks)
+    run_stage(const __grid_constant__ Stage stage, int width, int height) {
+    const int x = blockIdx.x * shape.width + threadIdx.x, y = blockIdx.y * shape.height + threadIdx.y;
     if (x < width && y < height) stage(x, y);
 }
 
@@ -51,8 +53,9 @@ public:
     void launch(const char* name, int width, int height, const Stage& stage) {
         if (width <= 0 || height <= 0) return;
         begin_stage(name);
-        // A warp covers 8 x 4 pixels: neighbouring paths and filter taps share cache lines in both directions.
-        const dim3 block(8, 16), grid((width + block.x - 1) / block.x, (height + block.y - 1) / block.y);
+        constexpr LaunchShape shape = launch_shape_of<Stage>();
+        const dim3 block(shape.width, shape.height);
+        const dim3 grid((width + shape.width - 1) / shape.width, (height + shape.height - 1) / shape.height);
         run_stage<<<grid, block, 0, stream_>>>(stage, width, height);
         end_stage(name);
     }

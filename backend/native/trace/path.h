@@ -8,6 +8,7 @@
 
 #include "core/effects.h"
 #include "core/sampling.h"
+#include "device/launch_shape.h"
 #include "trace/bsdf.h"
 #include "trace/camera.h"
 #include "trace/gbuffer.h"
@@ -22,6 +23,10 @@ constexpr int roulette_start = 3;
 
 template <Effects kernel>
 struct PathStage {
+    // Six blocks leave 80 registers of the 168 that the compiler would take. The spills cost less than the warps gain:
+    // 43 ms instead of 50 ms (H200, atrium, 1920x1080, 6 bounces).
+    static constexpr LaunchShape launch_shape{8, 16, 6};
+
     SceneView scene;
     Camera camera;
     std::uint32_t sample, seed;

@@ -20,6 +20,10 @@ class Camera:
     width: int
     height: int
 
+    def sees_as(self, other: Camera) -> bool:
+        """Whether every point of the world has the same image point in both."""
+        return np.array_equal(self.to_world, other.to_world) and np.array_equal(self.window, other.window)
+
     def direction(self, point: np.ndarray) -> np.ndarray:
         """World directions [..., 3] through image points [..., 2]; not unit: their planar depth is 1."""
         left, right, bottom, top = self.window

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..settings import METHODS, DenoiseSettings, check_name
 from .atrous import atrous, edge_avoiding
 from .demodulate import demodulate, signal_albedo
+from .device import Device
 from .guides import Guides, namespace, repair_guides
 from .modulate import modulate
 from .temporal import History, temporal
@@ -35,7 +36,7 @@ DEFAULT_WINDOW = (-0.36, 0.36, -0.36, 0.36)
 
 
 class Denoiser:
-    """Same methods as the native class. device: ignored. settings: the fields of DenoiseSettings that differ from the
+    """Same methods as the native class. device: keeps the timings, may be None. settings: the fields of DenoiseSettings that differ from the
     defaults. Images may be numpy or CuPy arrays; results are float64 arrays of the same library.
 
     history: what the next frame starts from, None before the first.
@@ -45,6 +46,7 @@ class Denoiser:
         self, device: Any, width: int, height: int, method: str = "svgf", settings: dict[str, float] | None = None
     ) -> None:
         check_name("Denoiser method", method, METHODS)
+        self._device = device or Device()
         self.width, self.height, self.method = width, height, method
         self.settings = DenoiseSettings.from_dict(settings or {})
         self.history: History | None = None
@@ -66,24 +68,31 @@ class Denoiser:
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
         if reset or (self.history is not None and len(self.history.color) != len(signals)):
             self.history = None
-        color, albedo, guides, repaired = self._demodulate(inputs, signals)
+        timed = self._device.stage
+        with timed("demodulate"):
+            color, albedo, guides, repaired = self._demodulate(inputs, signals)
         xp = namespace(guides.depth)
         spread = None
         length = guides.surface.astype(xp.float64)
         if self.method == "svgf":
-            new, count = temporal(color, guides, inputs.get("motion"), self.history, self.settings)
+            with timed("temporal"):
+                new, count = temporal(color, guides, inputs.get("motion"), self.history, self.settings)
             repaired += count
             color, length = new.color, new.length
-            spread = variance(new.moments, new.length, guides, self.settings)
+            with timed("variance"):
+                spread = variance(new.moments, new.length, guides, self.settings)
             self.history = new
             for level in range(self.settings.levels):
-                color, spread = atrous(color, spread, guides, level, self.settings)
+                with timed("atrous"):
+                    color, spread = atrous(color, spread, guides, level, self.settings)
                 if level == 0:
                     self.history = replace(new, color=color)  # [Schied17, Sec. 4.3]
         elif self.method == "eaw":
             for level in range(self.settings.levels):
-                color = edge_avoiding(color, guides, inputs.get("window", DEFAULT_WINDOW), level, self.settings)
-        radiance, spread, count = modulate(color, spread, albedo, inputs.get("emission"))
+                with timed("atrous"):
+                    color = edge_avoiding(color, guides, inputs.get("window", DEFAULT_WINDOW), level, self.settings)
+        with timed("modulate"):
+            radiance, spread, count = modulate(color, spread, albedo, inputs.get("emission"))
         self._repaired = repaired + count
         return {"color": radiance, "variance": spread, "history_length": length}
 

@@ -54,6 +54,11 @@ def trace_gbuffer(
     images["motion"][:, 2] -= images["depth"]
     images["motion"][~visible, 2] = 0.0
     images["motion"][~hits.found, 2] = 0.0
+    if previous_camera.sees_as(camera):
+        # What stands still moves by exactly 0, whatever the two projections round to.
+        still = np.ones(count, dtype=bool)
+        still[found] = (surface.previous_position == surface.position).all(axis=1)
+        images["motion"][still] = 0.0
     return images
 
 
