@@ -17,10 +17,10 @@
 namespace svgf {
 
 #if defined(__CUDACC__)
-template <class Stage, LaunchShape shape = launch_shape_of<Stage>()>
-__global__ void __launch_bounds__(shape.width* shape.height, shape.blocks)
+template <class Stage, int threads, int blocks>
+__global__ void __launch_bounds__(threads, blocks)
     run_stage(const __grid_constant__ Stage stage, int width, int height) {
-    const int x = blockIdx.x * shape.width + threadIdx.x, y = blockIdx.y * shape.height + threadIdx.y;
+    const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y;
     if (x < width && y < height) stage(x, y);
 }
 
@@ -56,7 +56,7 @@ public:
         constexpr LaunchShape shape = launch_shape_of<Stage>();
         const dim3 block(shape.width, shape.height);
         const dim3 grid((width + shape.width - 1) / shape.width, (height + shape.height - 1) / shape.height);
-        run_stage<<<grid, block, 0, stream_>>>(stage, width, height);
+        run_stage<Stage, shape.width * shape.height, shape.blocks><<<grid, block, 0, stream_>>>(stage, width, height);
         end_stage(name);
     }
 
