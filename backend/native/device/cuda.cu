@@ -34,10 +34,13 @@ std::string hint_for(cudaError_t error) {
 Device::Device(int index) : index_(index) {
     check(cudaSetDevice(index), "");
     check(cudaStreamCreate(&stream_), "");
-    cudaMemPool_t memory_pool;
-    check(cudaDeviceGetDefaultMemPool(&memory_pool, index), "");
-    uint64_t keep_everything = UINT64_MAX;
-    check(cudaMemPoolSetAttribute(memory_pool, cudaMemPoolAttrReleaseThreshold, &keep_everything), "");
+    // A pool of its own, so that neither other libraries' memory nor the driver's trimming gets mixed up with it.
+    cudaMemPoolProps properties = {};
+    properties.allocType = cudaMemAllocationTypePinned;
+    properties.location = {cudaMemLocationTypeDevice, index};
+    check(cudaMemPoolCreate(&pool_, &properties), "");
+    uint64_t kept_bytes = uint64_t(2) << 30;  // a frame in 4K; what is free beyond it goes back to the driver
+    check(cudaMemPoolSetAttribute(pool_, cudaMemPoolAttrReleaseThreshold, &kept_bytes), "");
     const char* wanted = std::getenv("SVGF_SYNCHRONIZE");
     synchronize_each_stage_ = wanted && wanted[0] == '1';
 }
@@ -52,6 +55,7 @@ Device::~Device() {
     }
     for (auto event : free_events_) cudaEventDestroy(event);
     cudaStreamDestroy(stream_);
+    cudaMemPoolDestroy(pool_);
 }
 
 void Device::check(cudaError_t error, const char* stage) const {
@@ -64,7 +68,7 @@ void Device::check(cudaError_t error, const char* stage) const {
 void* Device::allocate(size_t bytes, const char* what) {
     cudaSetDevice(index_);  // the calling thread may have another one
     void* data = nullptr;
-    const cudaError_t error = cudaMallocAsync(&data, bytes ? bytes : 1, stream_);
+    const cudaError_t error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream_);
     if (error == cudaErrorMemoryAllocation) {
         cudaGetLastError();
         size_t free_bytes = 0, total_bytes = 0;

@@ -38,8 +38,8 @@ public:
     Device(const Device&) = delete;
     Device& operator=(const Device&) = delete;
 
-    // Memory is ordered on the device's stream and comes from the driver's pool, so that a frame's images cost no
-    // driver call after the first frame.
+    // Memory is ordered on the device's stream and comes from its pool, so that a frame's images cost no driver call
+    // after the first frame.
     void* allocate(size_t bytes, const char* what);
     void release(void* data) noexcept;
     void upload(void* device, const void* host, size_t bytes);
@@ -94,6 +94,7 @@ private:
     // A blocking stream: it keeps order with the legacy default stream, on which CuPy and PyTorch work by default, so
     // arrays can be handed over in both directions without waiting.
     cudaStream_t stream_ = nullptr;
+    cudaMemPool_t pool_ = nullptr;
     bool synchronize_each_stage_ = false;  // SVGF_SYNCHRONIZE=1: the stage that failed is the one named
     const char* last_stage_ = "";
     std::vector<Span> spans_;
