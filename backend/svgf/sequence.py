@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from .errors import InputError
@@ -45,6 +46,22 @@ def frame_number(path: Path) -> int | None:
     """The number at the end of a file's name."""
     match = re.search(r"(\d{1,9})$", path.stem)
     return int(match[1]) if match else None
+
+
+def check_targets(sequence: Mapping[int, Path], targets: Iterable[Path], may_exist: bool) -> None:
+    """Raises InputError where a file to write is one of the sequence, or (unless may_exist) is there already."""
+    sources = {path.resolve() for path in sequence.values()}
+    there = []
+    for path in targets:
+        if path.resolve() in sources:
+            raise InputError(
+                f"{path} is a frame of the input.", "Choose another folder: svgf never writes over its input."
+            )
+        if path.exists():
+            there.append(path)
+    if there and not may_exist:
+        others = f" (and {len(there) - 1} more)" if len(there) > 1 else ""
+        raise InputError(f"{there[0]}{others} is there already.", "Add --resume to keep what is there, or --overwrite.")
 
 
 def _matching(pattern: Path) -> list[Path]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import time
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -46,13 +47,13 @@ def denoise(
     Color), which give the better picture, or Denoising Data. Everything but Combined passes through untouched.
     """
     from ..cycles import preflight
-    from ..cycles.batch import SequenceDenoiser, check_targets
+    from ..cycles.batch import SequenceDenoiser
     from ..cycles.image import MultilayerImage
     from ..devices import open_device
     from ..frame_range import format_frames, parse_frames, plan_resume
     from ..io import exr, files
     from ..io import png as png_file
-    from ..sequence import find_sequence
+    from ..sequence import check_targets, find_sequence
     from ..settings import METHODS, check_name
     from .progress import progress_bar, run_interruptibly, silence
 
@@ -80,7 +81,7 @@ def denoise(
         number: [output / path.name, *(png_path(number, name) for name in names if png)]
         for number, path in sequence.items()
     }
-    check_targets(sequence, targets, may_exist=overwrite or resume)
+    check_targets(sequence, chain.from_iterable(targets.values()), may_exist=overwrite or resume)
     order, to_write = tuple(sequence), frozenset(sequence)
     if resume:
         with silence(1, 2):

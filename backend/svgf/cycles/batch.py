@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from ..denoiser import Denoiser
 from ..devices import Device
-from ..errors import InputError
 from .image import MultilayerImage
-from .inputs import Reading, layer_inputs, view
+from .inputs import Reading, layer_inputs
 from .preflight import Plan
 from .reprojection import View, agreement
 
@@ -57,9 +55,9 @@ class SequenceDenoiser:
         messages: list[str] = []
         gap = ""
         if self._last is not None and frame != self._last + 1:
-            left_out = f"{self._last + 1}" if frame == self._last + 2 else f"{self._last + 1}-{frame - 1}"
-            gap = f"frame {left_out} is missing" if "-" not in left_out else f"frames {left_out} are missing"
-            messages.append(f"Frame {frame} starts without history: {gap}.")
+            gap = f"it follows frame {self._last}"
+            if any(reading.motion for reading in self.plan.readings):
+                messages.append(f"Frame {frame} starts without history: {gap}, not {frame - 1}.")
         self._last = frame
         results = {layer.reading.layer: layer.denoise(image, gap) for layer in self._layers}
         for layer, result in results.items():
@@ -107,30 +105,14 @@ class _Layer:
 
     def denoise(self, image: MultilayerImage, gap: str) -> LayerResult:
         """Replaces Combined in the image. gap: why the last frame is not the one before, else empty."""
+        inputs = layer_inputs(image, self.reading)
         if self.reading.motion:
-            now = view(image, self.reading)
             if gap:
                 self._denoiser.reset(gap)
-            elif self._before is not None and agreement(now, self._before) < _CUT_AGREEMENT:
+            elif self._before is not None and agreement(inputs.view, self._before) < _CUT_AGREEMENT:
                 self._denoiser.reset(_CUT)
-            self._before = now
-        inputs = layer_inputs(image, self.reading)
+            self._before = inputs.view
         result = self._denoiser.denoise(inputs.images)
         color = result["color"] + inputs.deficit
         cut_to_half = image.replace(self.reading.layer, "Combined", color)
         return LayerResult(color, self._denoiser.last_reset, result["repaired"] + cut_to_half, inputs.unexplained)
-
-
-def check_targets(frames: dict[int, Path], targets: dict[int, list[Path]], may_exist: bool) -> None:
-    """Raises InputError where a file to write is one of the sequence, or (unless may_exist) is there already."""
-    sources = {path.resolve() for path in frames.values()}
-    for paths in targets.values():
-        for path in paths:
-            if path.resolve() in sources:
-                raise InputError(
-                    f"{path} is a frame of the input.", "Choose another folder: svgf never writes over its input."
-                )
-    there = [path for paths in targets.values() for path in paths if path.exists()]
-    if there and not may_exist:
-        others = f" (and {len(there) - 1} more)" if len(there) > 1 else ""
-        raise InputError(f"{there[0]}{others} is there already.", "Add --resume to keep what is there, or --overwrite.")

@@ -12,6 +12,7 @@ reflection moves as its mirror image does, what is seen through glass roughly as
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,9 +46,11 @@ class Reading:
 @dataclass(frozen=True)
 class LayerInputs:
     """images: for ``svgf.Denoiser.denoise``. deficit [H, W, 3] <= 0: to add to its result, where Combined holds less
-    than the light passes do. unexplained: the share of Combined's energy, in absolute value, that they miss."""
+    than the light passes do. unexplained: the share of Combined's energy, in absolute value, that they miss. view: what
+    tells the surfaces apart."""
 
     images: dict[str, np.ndarray]
+    view: View
     deficit: np.ndarray
     unexplained: float
 
@@ -62,19 +65,18 @@ def layer_inputs(image: MultilayerImage, reading: Reading) -> LayerInputs:
         light = image.read(layer, name)
         if light is not None:
             emission += light
-    images, deficit, unexplained = surfaces(image, reading), np.zeros_like(combined), 0.0
+    images, deficit, unexplained = _surfaces(image, reading), np.zeros_like(combined), 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         if reading.light_passes:
-            colors, radiances = zip(*(_lobe(image, layer, lobe) for lobe in LOBES), strict=True)
-            (diffuse_color, glossy_color, transmission_color), (diffuse, glossy, transmission) = colors, radiances
-            images["diffuse_albedo"], images["specular_albedo"] = diffuse_color + transmission_color, glossy_color
-            diffuse, specular = diffuse + transmission, glossy
-            explained = diffuse + specular
+            diffuse, glossy, transmission = (_lobe(image, layer, lobe) for lobe in LOBES)
+            images["diffuse_albedo"], images["specular_albedo"] = diffuse.color + transmission.color, glossy.color
+            explained = diffuse.radiance + transmission.radiance + glossy.radiance
             difference = combined - emission - explained
             # Rounding is no light of its own: kept out of the filter it would stay as noise. It scales the signals.
             rounding = np.abs(difference) <= _ROUNDING * explained
             scale = np.where(rounding, 1.0 + difference / np.where(explained > 0.0, explained, 1.0), 1.0)
-            images["diffuse"], images["specular"] = diffuse * scale, specular * scale
+            images["diffuse"] = (diffuse.radiance + transmission.radiance) * scale
+            images["specular"] = glossy.radiance * scale
             residual = np.where(rounding | ~np.isfinite(difference), 0.0, difference)
             emission += np.maximum(residual, 0.0)
             deficit = np.minimum(residual, 0.0)
@@ -86,14 +88,10 @@ def layer_inputs(image: MultilayerImage, reading: Reading) -> LayerInputs:
             emission = np.where(emission > combined, np.maximum(combined, 0.0), emission)
             images["color"] = combined - emission
     images["emission"] = emission
-    return LayerInputs(
-        {name: pixels.astype(np.int32 if name == "object_id" else np.float32) for name, pixels in images.items()},
-        deficit.astype(np.float32),
-        unexplained,
-    )
+    return LayerInputs(images, _view(images, _albedo(image, reading)), deficit, unexplained)
 
 
-def surfaces(image: MultilayerImage, reading: Reading) -> dict[str, np.ndarray]:
+def _surfaces(image: MultilayerImage, reading: Reading) -> dict[str, np.ndarray]:
     """normal, depth, object_id and, where it is read, motion [H, W, 2], as the denoiser takes them."""
     layer = reading.layer
     depth = image.read(layer, "Depth")
@@ -103,7 +101,7 @@ def surfaces(image: MultilayerImage, reading: Reading) -> dict[str, np.ndarray]:
         normal = image.read(layer, "Denoising Normal")
     index = image.read(layer, "Object Index")
     # Blender's objects have the index 0 unless someone sets another; 0 is the denoiser's background.
-    object_id = np.ones(depth.shape, np.int32) if index is None else np.rint(index).astype(np.int32) + 1
+    object_id = np.ones(depth.shape, np.int32) if index is None else np.rint(np.nan_to_num(index)).astype(np.int32) + 1
     images = {
         "normal": normal,
         "depth": np.where(background, np.float32(_DENOISER_BACKGROUND_DEPTH), depth),
@@ -119,16 +117,27 @@ def surfaces(image: MultilayerImage, reading: Reading) -> dict[str, np.ndarray]:
 
 def view(image: MultilayerImage, reading: Reading) -> View:
     """What tells surfaces apart."""
-    images = surfaces(image, reading)
+    return _view(_surfaces(image, reading), _albedo(image, reading))
+
+
+def _view(images: dict[str, np.ndarray], albedo: np.ndarray) -> View:
+    motion = images.get("motion", np.zeros((*images["depth"].shape, 2), np.float32))
+    return View(images["depth"], images["normal"], images["object_id"], albedo, motion)
+
+
+def _albedo(image: MultilayerImage, reading: Reading) -> np.ndarray:
     if reading.light_passes:
         albedo = sum(image.read(reading.layer, f"{lobe} Color") for lobe in LOBES)
     else:
         albedo = image.read(reading.layer, "Denoising Albedo")
-    motion = images.get("motion", np.zeros((*images["depth"].shape, 2), np.float32))
-    return View(images["depth"], images["normal"], images["object_id"], np.clip(albedo, 0.0, 1.0), motion)
+    return np.clip(albedo, 0.0, 1.0)
 
 
-def _lobe(image: MultilayerImage, layer: str, lobe: str) -> tuple[np.ndarray, np.ndarray]:
-    """Its color, and the radiance that leaves it."""
+class _Lobe(NamedTuple):
+    color: np.ndarray
+    radiance: np.ndarray
+
+
+def _lobe(image: MultilayerImage, layer: str, lobe: str) -> _Lobe:
     color, direct, indirect = (image.read(layer, f"{lobe} {part}") for part in ("Color", "Direct", "Indirect"))
-    return color, color * (direct + indirect)
+    return _Lobe(color, color * (direct + indirect))
