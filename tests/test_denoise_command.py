@@ -198,6 +198,20 @@ def test_bad_values_are_repaired_and_told(tmp_path: Path) -> None:
     assert all(np.isfinite(combined(path)).all() for path in (tmp_path / "out").iterdir())
 
 
+def test_a_lobe_that_overflowed_harms_no_other(tmp_path: Path) -> None:
+    """A firefly beyond half's range, as it happens in real sequences."""
+
+    def overflow(frame: int, passes: Passes) -> None:
+        passes["Glossy Direct"][20, 30] = np.inf
+
+    path = Format(change=overflow).write(tmp_path / "a.exr", 1)
+    reading = Reading("ViewLayer", light_passes=True, motion=True)
+    spoiled = layer_inputs(MultilayerImage(path), reading)
+    good = layer_inputs(MultilayerImage(Format().write(tmp_path / "b.exr", 1)), reading)
+    np.testing.assert_allclose(spoiled.images["diffuse"], good.images["diffuse"], rtol=1e-5)
+    assert np.isfinite(spoiled.images["emission"]).all() and not spoiled.deficit.any()
+
+
 def test_compression_with_loss_is_not_repeated(tmp_path: Path) -> None:
     source = write_shot(tmp_path / "in", range(1, 2), Format("4.5", compression="DWAA"))
     done(source, tmp_path / "out")

@@ -16,6 +16,7 @@ from .reprojection import View, agreement
 
 # Cycles' vectors lead to the same surface for nine pixels of ten, and in a fast pan for half of them.
 _CUT_AGREEMENT = 0.2
+_CUT = "the view was cut"
 # Light that the light passes may miss, as a share, before the user should know that it stays noisy.
 _UNEXPLAINED = 0.01
 
@@ -90,9 +91,6 @@ class SequenceDenoiser:
             described[f"{prefix}.signals"] = "diffuse, specular" if reading.light_passes else "Combined"
             described[f"{prefix}.reset"] = frame.layers[reading.layer].reset
         return described
-
-
-_CUT = "the view was cut"
 
 
 class _Layer:

@@ -73,7 +73,7 @@ def layer_inputs(image: MultilayerImage, reading: Reading) -> LayerInputs:
             explained = diffuse.radiance + transmission.radiance + glossy.radiance
             difference = combined - emission - explained
             # Rounding is no light of its own: kept out of the filter it would stay as noise. It scales the signals.
-            rounding = np.abs(difference) <= _ROUNDING * explained
+            rounding = np.isfinite(explained) & (np.abs(difference) <= _ROUNDING * explained)
             scale = np.where(rounding, 1.0 + difference / np.where(explained > 0.0, explained, 1.0), 1.0)
             images["diffuse"] = (diffuse.radiance + transmission.radiance) * scale
             images["specular"] = glossy.radiance * scale
