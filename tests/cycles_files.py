@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EXR sequences as Cycles writes them, of a shot that needs no Cycles: a card that slides over a wall below the sky.
+"""EXR sequences as Cycles writes them, of a shot that needs no Cycles, and ``svgf denoise`` run on them.
 
-Everything but the noise is known exactly: albedo, depth, vectors, and the mean of the light, 1.
+A card slides over a wall below the sky. Everything but the noise is known exactly: albedo, depth, vectors, and the mean of
+the light, 1.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
+from typer.testing import CliRunner, Result
 
+from svgf.cli import app
 from svgf.cycles.passes import LIGHT_PASSES, PASSES
+from svgf.io import exr
 
 WIDTH, HEIGHT = 64, 36
 _SKY_ROWS = 6
@@ -129,3 +133,30 @@ def write_shot(folder: Path, frames: range | tuple[int, ...], form: Format = For
     for frame in frames:
         form.write(folder / f"frame_{frame:04d}.exr", frame, shot)
     return folder
+
+
+def run(source: Path, output: Path, *arguments: object) -> Result:
+    command = ["denoise", source, "-o", output, "--device", "reference", *arguments]
+    return CliRunner().invoke(app, [str(argument) for argument in command])
+
+
+def done(source: Path, output: Path, *arguments: object) -> str:
+    """The messages."""
+    result = run(source, output, *arguments)
+    assert result.exit_code == 0, result.output
+    return result.stderr
+
+
+def refused(source: Path, output: Path, *arguments: object) -> str:
+    """The error; nothing was written."""
+    before = sorted(output.iterdir()) if output.is_dir() else None
+    result = run(source, output, *arguments)
+    assert result.exit_code == 2 and result.stdout == "", result.output
+    assert (sorted(output.iterdir()) if output.is_dir() else None) == before
+    error = result.stderr.splitlines()[-1]
+    assert error.startswith("Error: ")
+    return error
+
+
+def combined(path: Path, layer: str = "ViewLayer") -> np.ndarray:
+    return exr.read(path)[f"{layer}.Combined"]

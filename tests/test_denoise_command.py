@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from svgf.cli import app
 from svgf.cycles.image import MultilayerImage
@@ -20,36 +20,9 @@ from svgf.denoiser import Denoiser
 from svgf.io import exr
 from svgf.sequence import find_sequence
 
-from .cycles_files import HEIGHT, WIDTH, Format, Passes, Shot, write_shot
+from .cycles_files import HEIGHT, WIDTH, Format, Passes, Shot, combined, done, refused, run, write_shot
 
 STILL = Shot(speed=(0.0, 0.0))
-
-
-def run(source: Path, output: Path, *arguments: object) -> Result:
-    command = ["denoise", source, "-o", output, "--device", "reference", *arguments]
-    return CliRunner().invoke(app, [str(argument) for argument in command])
-
-
-def done(source: Path, output: Path, *arguments: object) -> str:
-    """The messages."""
-    result = run(source, output, *arguments)
-    assert result.exit_code == 0, result.output
-    return result.stderr
-
-
-def refused(source: Path, output: Path, *arguments: object) -> str:
-    """The error; nothing was written."""
-    before = sorted(output.iterdir()) if output.is_dir() else None
-    result = run(source, output, *arguments)
-    assert result.exit_code == 2 and result.stdout == "", result.output
-    assert (sorted(output.iterdir()) if output.is_dir() else None) == before
-    error = result.stderr.splitlines()[-1]
-    assert error.startswith("Error: ")
-    return error
-
-
-def combined(path: Path, layer: str = "ViewLayer") -> np.ndarray:
-    return exr.read(path)[f"{layer}.Combined"]
 
 
 def truth(frame: int, shot: Shot) -> np.ndarray:
@@ -282,6 +255,7 @@ def test_one_file_and_some_frames(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "one").iterdir()] == ["frame_0002.exr"]
     done(source, tmp_path / "some", "--frames", "2-3")
     assert sorted(path.name for path in (tmp_path / "some").iterdir()) == ["frame_0002.exr", "frame_0003.exr"]
+    assert "has no frame 5-6." in done(source, tmp_path / "fewer", "--frames", "3-6")
     assert "has no frame 7-9. It has 1-4." in refused(source, tmp_path / "none", "--frames", "7-9")
 
 
@@ -363,126 +337,7 @@ def test_ctrl_c_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["frame_0001.exr"]
 
 
-# --- The pre-flight check ---
-
-
-def spoiled(tmp_path: Path, frame: int, form: Format, frames: range = range(1, 5)) -> Path:
-    """A good sequence in which one frame is written otherwise."""
-    source = write_shot(tmp_path / "in", frames)
-    form.write(source / f"frame_{frame:04d}.exr", frame)
-    return source
-
-
-@pytest.mark.parametrize(
-    ("without", "message", "place"),
-    [
-        (("Vector",), 'has no pass "Vector".', "Data > Vector (and switch Motion Blur off) and render again."),
-        (("Depth",), 'has no pass "Depth".', "Passes > Data > Z and render again."),
-        (("Normal", "Denoising Normal"), 'has no pass "Normal".', "Data > Normal"),
-        (("Glossy Indirect",), 'has no pass "Glossy Indirect".', "Light > Glossy > Indirect"),
-        (("Depth", "Vector"), 'has no pass "Depth" and "Vector".', "Data > Z; Data > Vector"),
-        (("Combined",), 'has no pass "Combined".', "Data > Combined"),
-    ],
-)
-def test_missing_pass(tmp_path: Path, without: tuple[str, ...], message: str, place: str) -> None:
-    error = refused(spoiled(tmp_path, 3, Format(without=without)), tmp_path / "out")
-    assert error.startswith("Error: Frame 3 (") and f'layer "ViewLayer" {message}' in error
-    assert "In Blender, enable View Layer properties > Passes > " in error and place in error
-
-
-def test_neither_light_passes_nor_denoising_data(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(1, 3), Format(without=("Denoising Albedo", *LIGHT_PASSES)))
-    error = refused(source, tmp_path / "out")
-    assert 'has no pass "Denoising Albedo"' in error and "Data > Denoising Data" in error
-
-
-def test_incomplete_light_passes_are_told(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(1, 2), Format(without=("Glossy Color",)))
-    warning = done(source, tmp_path / "out")
-    assert 'Layer "ViewLayer" is denoised from Combined alone, as it lacks "Glossy Color".' in warning
-
-
-def test_no_render_layer(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(1, 2), Format(without=("Combined",)))
-    assert 'has no layer with the pass "Combined". It has: ViewLayer.' in refused(source, tmp_path / "out")
-
-
-def test_size_that_changes(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(1, 4))
-    planes = {f"ViewLayer.Combined.{c}": np.zeros((9, 16), np.float32) for c in "RGBA"}
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(source / "frame_0003.exr"))
-    error = refused(source, tmp_path / "out")
-    assert "Frame 3 (" in error and "is 16x9, but frame 1 is 64x36. Render all frames in one size." in error
-
-
-@pytest.mark.parametrize("version", ["4.5", "5.0"])
-@pytest.mark.parametrize("cut", [1, 50, 20_000])
-def test_truncated_file_is_found_before_work_starts(tmp_path: Path, version: str, cut: int) -> None:
-    source = write_shot(tmp_path / "in", range(1, 11), Format(version))
-    path = source / "frame_0008.exr"
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert "frame_0008.exr is truncated or damaged. Render it again." in refused(source, tmp_path / "out")
-
-
-def test_stereo_views_in_one_file(tmp_path: Path) -> None:
-    planes = {"ViewLayer.Combined.R": np.zeros((9, 16), np.float32)}
-    parts = [
-        OpenEXR.Part({"type": OpenEXR.scanlineimage, "view": v}, planes, f"Combined.{v}") for v in ("left", "right")
-    ]
-    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
-    assert 'holds the channel "ViewLayer.Combined.R" twice.' in refused(tmp_path / "a.exr", tmp_path / "out")
-
-
-@pytest.mark.parametrize(
-    ("factors", "name"), [((-1, -1), "this position - the previous one;"), ((1, -1), "y pointing down")]
-)
-def test_other_vector_conventions_are_found_and_read(tmp_path: Path, factors: tuple[int, int], name: str) -> None:
-    def convert(frame: int, passes: Passes) -> None:
-        passes["Vector"] *= np.float32([*factors, *factors])
-
-    shot = Shot(speed=(4.0, 3.0))
-    source = write_shot(tmp_path / "in", range(0, 3), Format(change=convert), shot)
-    assert name in done(source, tmp_path / "out")
-    as_cycles = write_shot(tmp_path / "cycles", range(0, 3), shot=shot)
-    assert done(as_cycles, tmp_path / "out_cycles") == ""
-    for path in (tmp_path / "out").iterdir():
-        np.testing.assert_array_equal(combined(path), combined(tmp_path / "out_cycles" / path.name))
-
-
-def test_vectors_that_lost_their_negative_half(tmp_path: Path) -> None:
-    def clamp(frame: int, passes: Passes) -> None:
-        passes["Vector"] = np.maximum(passes["Vector"], 0)
-
-    source = write_shot(tmp_path / "in", range(1, 4), Format(change=clamp), Shot(pan=2.0))
-    error = refused(source, tmp_path / "out")
-    assert "Vector holds no negative number" in error and "Color Depth Float (Full)" in error
-
-
-def test_what_moves_to_the_left_only_is_no_fault(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(4, 8), shot=Shot(speed=(-2.0, 0.0)))
-    assert done(source, tmp_path / "out") == ""
-
-
-def test_vectors_of_another_shot(tmp_path: Path) -> None:
-    def scramble(frame: int, passes: Passes) -> None:
-        passes["Vector"] += 1000.0
-
-    source = write_shot(tmp_path / "in", range(1, 4), Format(change=scramble))
-    assert "Vector leads to another surface in the frame before for 100 % of the pixels." in refused(
-        source, tmp_path / "out"
-    )
-
-
-@pytest.mark.parametrize("shot", [Shot(seed=5), Shot(seed=5, pan=1.0), Shot(seed=5, speed=(0.0, 0.0))])
-def test_fixed_seed_is_noticed(tmp_path: Path, shot: Shot) -> None:
-    source = write_shot(tmp_path / "in", range(1, 4), shot=shot)
-    warning = done(source, tmp_path / "out")
-    assert "frames 1 and 2 carry the same noise" in warning and "Use Animated Seed" in warning
-
-
-def test_a_still_shot_without_noise_has_no_fixed_seed(tmp_path: Path) -> None:
-    source = write_shot(tmp_path / "in", range(1, 4), shot=Shot(speed=(0.0, 0.0), noise=0.0))
-    assert done(source, tmp_path / "out") == ""
+# --- Arguments ---
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,8 @@ def denoise(
         there = {number: sequence[number] for number in wanted if number in sequence}
         if not there:
             raise InputError(f"{source} has no frame {frames}.", f"It has {format_frames(sequence)}.")
+        if len(there) < len(wanted):
+            typer.echo(f"Warning: {source} has no frame {format_frames(set(wanted) - there.keys())}.", err=True)
         sequence = there
 
     start = time.perf_counter()

@@ -89,6 +89,10 @@ class SequenceDenoiser:
         for reading in self.plan.readings:
             prefix = f"svgf.{reading.layer}".rstrip(".")
             described[f"{prefix}.signals"] = "diffuse, specular" if reading.light_passes else "Combined"
+            if reading.motion:
+                described[f"{prefix}.vector"] = "motion to the right, down = {:+g} X, {:+g} Y".format(
+                    *reading.vector_signs
+                )
             described[f"{prefix}.reset"] = frame.layers[reading.layer].reset
         return described
 
