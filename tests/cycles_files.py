@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """EXR sequences as Cycles writes them, of a shot that needs no Cycles, and ``svgf denoise`` run on them.
 
-A card slides over a wall below the sky. Everything but the noise is known exactly: albedo, depth, vectors, and the mean of
-the light, 1.
+A card slides over a wall below the sky. Everything but the noise is known exactly: albedo, depth, vectors, and the mean
+of the light, 1.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Format:
     without: tuple[str, ...] = ()
     change: Callable[[int, Passes], None] = field(default=lambda frame, passes: None)
 
-    def write(self, path: Path, frame: int, shot: Shot = Shot()) -> Path:  # noqa: B008
+    def write(self, path: Path, frame: int, shot: Shot = Shot()) -> Path:
         header = {"type": OpenEXR.scanlineimage, "compression": getattr(OpenEXR, f"{self.compression}_COMPRESSION")}
         parts: list[tuple[str, dict[str, np.ndarray]]] = []
         for layer in self.layers:
@@ -127,7 +127,7 @@ class Format:
         return {f"{layer}.{written}.{c}": np.ascontiguousarray(pixels[..., i], dtype) for i, c in enumerate(suffixes)}
 
 
-def write_shot(folder: Path, frames: range | tuple[int, ...], form: Format = Format(), shot: Shot = Shot()) -> Path:  # noqa: B008
+def write_shot(folder: Path, frames: range | tuple[int, ...], form: Format = Format(), shot: Shot = Shot()) -> Path:
     """frame_0001.exr and so on. Returns the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for frame in frames:
