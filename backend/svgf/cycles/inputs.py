@@ -10,8 +10,8 @@ scenes at 1 sample per pixel (relMSE, FLIP each):
     diffuse, glossy + transmission      0.079 0.0570    22.2 0.1152
     direct, indirect                    0.077 0.0530    22.1 0.1178
 
-The first two differ in relMSE alone, by a handful of fireflies on glass beside a coloured metal. Direct and indirect win
-one scene and lose the other in FLIP, and mix reflections, which move as mirror images do, with the surface's own light.
+The first two differ in relMSE, mostly by a few fireflies on glass. Direct and indirect win one scene in FLIP and lose
+the other, and mix reflections, which move as mirror images do, with the surface's own light.
 """
 
 from __future__ import annotations
