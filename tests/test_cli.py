@@ -310,7 +310,7 @@ def test_help_is_quick() -> None:
     process = start("--help")
     stdout, _ = process.communicate(timeout=60)
     assert process.returncode == 0
-    for command in ("demo", "render", "export", "compare", "bench", "doctor"):
+    for command in ("demo", "render", "denoise", "export", "compare", "bench", "doctor"):
         assert command in stdout
     program = "import sys, svgf.cli; print('numpy' in sys.modules, 'OpenEXR' in sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
+from ..sequence import find_sequence, frame_number
 from .options import JsonOption
 
 if TYPE_CHECKING:
@@ -102,9 +102,9 @@ def _print_table(
 
 def _pair(image: Path, reference: Path, frames: tuple[int, ...] | None) -> list[tuple[int | None, Path, Path]]:
     """(frame, image, reference): two files, or what two sequences have in common."""
-    images, references = _sequence(image), _sequence(reference)
+    images, references = find_sequence(image), find_sequence(reference)
     if image.is_file() and reference.is_file():
-        return [(_frame_number(image), image, reference)]
+        return [(frame_number(image), image, reference)]
     common = sorted(
         images.keys() & references.keys() if frames is None else images.keys() & references.keys() & set(frames)
     )
@@ -116,37 +116,6 @@ def _pair(image: Path, reference: Path, frames: tuple[int, ...] | None) -> list[
     if left_out and frames is None:
         typer.echo(f"Warning: {left_out} frames are in one of the sequences only.", err=True)
     return [(number, images[number], references[number]) for number in common]
-
-
-def _sequence(path: Path) -> dict[int, Path]:
-    """The files that a path names, by frame number; a single file may have none."""
-    if path.is_file():
-        return {_frame_number(path) or 0: path}
-    if path.is_dir():
-        found = sorted(path.glob("*.exr"))
-    elif re.search(r"[*?#\[]", path.name):
-        # Blender writes #### for the digits.
-        found = sorted(path.parent.glob(re.sub(r"#+", "[0-9]*", path.name)))
-    else:
-        raise InputError(f"Cannot read {path}: there is no such file or folder.", "Check the path.")
-    if not found:
-        raise InputError(f"{path} names no .exr file.", "Check the path.")
-    sequence: dict[int, Path] = {}
-    for file in found:
-        number = _frame_number(file)
-        if number is None:
-            raise InputError(f"{file} has no frame number at the end of its name.", "Name files as image_0001.exr.")
-        if number in sequence:
-            raise InputError(
-                f"{sequence[number]} and {file} are both frame {number}.", "Name one sequence: DIR/name_*.exr"
-            )
-        sequence[number] = file
-    return sequence
-
-
-def _frame_number(path: Path) -> int | None:
-    match = re.search(r"(\d{1,9})$", path.stem)
-    return int(match[1]) if match else None
 
 
 def _color(path: Path, name: str) -> np.ndarray:

@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ..frame import Frame
     from ..renderer import Renderer
     from ..scene import Scene
+
+_Result = TypeVar("_Result")
 
 
 class Bar:
@@ -61,31 +63,37 @@ def progress_bar(title: str, total: int | None) -> Iterator[Bar]:
 
 
 def render_frame(renderer: Renderer, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
-    """``Renderer.render`` on a thread of its own, so that Ctrl-C is heard while native code runs, and stops it."""
-    outcome: list[Frame | BaseException] = []
+    """``Renderer.render``, stopped by Ctrl-C."""
+    return run_interruptibly(lambda: renderer.render(scene, progress=progress), renderer.interrupt)
+
+
+def run_interruptibly(work: Callable[[], _Result], interrupt: Callable[[], None]) -> _Result:
+    """Runs on a thread of its own, so that Ctrl-C is heard while native code runs; ``interrupt`` then stops it."""
+    outcome: list[_Result] = []
+    failure: list[BaseException] = []
     finished = threading.Event()
 
-    def work() -> None:
+    def run() -> None:
         try:
-            outcome.append(renderer.render(scene, progress=progress))
+            outcome.append(work())
         except BaseException as error:
-            outcome.append(error)
+            failure.append(error)
         finished.set()
 
     # The event is waited for, not the thread: before Python 3.13 a Thread.join that Ctrl-C interrupts takes the thread
     # for dead. The wait has a timeout because Windows delivers no Ctrl-C to one without.
-    threading.Thread(target=work, name="svgf render").start()
+    threading.Thread(target=run, name="svgf").start()
     try:
         while not finished.wait(0.2):
             pass
     except KeyboardInterrupt:
-        # Again and again, as an interrupt that comes before the frame has started is forgotten.
-        renderer.interrupt()
+        # Again and again, as an interrupt that comes before the first stage has started is forgotten.
+        interrupt()
         while not finished.wait(0.05):
-            renderer.interrupt()
+            interrupt()
         raise
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
+    if failure:
+        raise failure[0]
     return outcome[0]
 
 

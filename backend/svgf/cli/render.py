@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +17,6 @@ if TYPE_CHECKING:
     from ..frame import Frame
     from ..renderer import Renderer
     from ..scene import Scene
-
-# With alpha = 0.2, what lies further back makes up less than 3 % of the temporal mean.
-_WARM_UP_FRAMES = 16
 
 
 def render(
@@ -42,7 +38,7 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Render an animation to multi-layer OpenEXR. Files of the same name are replaced."""
-    from ..frame_range import parse_frames
+    from ..frame_range import parse_frames, plan_resume
     from ..io import exr, files
     from ..io import png as png_file
     from ..renderer import Renderer
@@ -61,7 +57,9 @@ def render(
     to_write = wanted
     if resume:
         with silence(1, 2):
-            wanted, to_write = _plan(_known_frames(file, wanted), lambda frame: exr.is_complete(name(frame, ".exr")))
+            wanted, to_write = plan_resume(
+                _known_frames(file, wanted), lambda frame: exr.is_complete(name(frame, ".exr"))
+            )
 
     written: list[dict[str, object]] = []
     warned: set[str] = set()
@@ -127,12 +125,3 @@ def _known_frames(file: Path, wanted: tuple[int, ...] | None) -> tuple[int, ...]
         raise InputError(f"To resume {file.name}, svgf must know the frames.", "Add --frames A-B.")
     with SceneFile(file) as scenes:
         return scenes.frames
-
-
-def _plan(frames: tuple[int, ...], is_done: Callable[[int], bool]) -> tuple[tuple[int, ...], frozenset[int]]:
-    """Which frames to render, and which of these to write: the others only fill the history for those after them."""
-    missing = frozenset(frame for frame in frames if not is_done(frame))
-    needed = {
-        index for index in range(len(frames)) if missing.intersection(frames[index : index + _WARM_UP_FRAMES + 1])
-    }
-    return tuple(frames[index] for index in sorted(needed)), missing

@@ -10,8 +10,10 @@ Encoding and decoding go through memory, so that an operating system's error (a 
 from __future__ import annotations
 
 import io
+import mmap
 import os
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +23,8 @@ from ..errors import InputError
 from ..frame import Frame
 from .files import file_error, replacing
 
+_MAGIC = b"\x76\x2f\x31\x01"
+_MULTI_PART_FLAG = 0x1000
 # A file may expand a thousandfold (ZIP's own limit), but a damaged header must not make us allocate a terabyte.
 _FREE_BYTES = 4 << 30
 _LARGEST_EXPANSION = 1100
@@ -101,7 +105,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     top, covering the data window. Raises InputError for anything that is not such a file.
     """
     planes: dict[str, dict[str, np.ndarray]] = {}
-    for part in _decode(path).parts:
+    for part in decode(path).parts:
         for name, channel in part.channels.items():
             if channel.xSampling != 1 or channel.ySampling != 1:
                 raise InputError(
@@ -126,23 +130,28 @@ def find_pass(passes: Mapping[str, np.ndarray], name: str, path: str | os.PathLi
 def is_complete(path: str | os.PathLike[str]) -> bool:
     """Whether a file can be read to its end: what ``--resume`` asks before it skips a frame."""
     try:
-        _decode(path)
+        decode(path)
     except InputError:
         return False
     return True
 
 
-def _decode(path: str | os.PathLike[str]):
+def decode(path: str | os.PathLike[str], header_only: bool = False):
+    """The file as the OpenEXR package holds it, one channel apiece; header_only: without pixels, which takes a moment
+    whatever the size, and still finds a file that was cut off. Raises InputError for anything that is not such a file.
+    """
     import OpenEXR
 
     try:
-        data = Path(path).read_bytes()
+        # A map of the file: of a long sequence of headers nothing else is read.
+        data = _map(path) if header_only else Path(path).read_bytes()
     except OSError as error:
         raise file_error("read", path, error) from error
-    if not data.startswith(b"\x76\x2f\x31\x01"):
+    if data[: len(_MAGIC)] != _MAGIC:
         raise InputError(f"{os.fspath(path)} is not an OpenEXR file.", "svgf reads .exr files.")
     try:
-        parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).parts
+        headers = OpenEXR.File(data if header_only else io.BytesIO(data), separate_channels=True, header_only=True)
+        parts = headers.parts
         if any(part.header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile) for part in parts):
             raise InputError(f"{os.fspath(path)} is a deep image.", "svgf reads flat images.")
         needed = sum(map(_expanded_bytes, parts))
@@ -150,14 +159,62 @@ def _decode(path: str | os.PathLike[str]):
             raise InputError(
                 f"{os.fspath(path)} is damaged: its header asks for {needed >> 30} GiB.", "Render it again."
             )
+        if header_only:
+            _check_length(data, [part.header["type"] == OpenEXR.tiledimage for part in parts])
+            return headers
         image = OpenEXR.File(io.BytesIO(data), separate_channels=True)
         # Parts whose pixels cannot be decoded are left out without an exception.
         if len(image.parts) != len(parts):
             raise ValueError("a part cannot be decoded")
         return image
     # The binding turns the library's exceptions into these.
-    except (RuntimeError, ValueError, TypeError, OverflowError, MemoryError, OSError) as error:
+    except (
+        RuntimeError,
+        ValueError,
+        TypeError,
+        IndexError,
+        OverflowError,
+        MemoryError,
+        OSError,
+        struct.error,
+    ) as error:
         raise InputError(f"{os.fspath(path)} is truncated or damaged.", "Render it again.") from error
+
+
+def _map(path: str | os.PathLike[str]) -> mmap.mmap | bytes:
+    with open(path, "rb") as file:
+        if os.fstat(file.fileno()).st_size == 0:
+            return b""
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _check_length(data: mmap.mmap, tiled: Sequence[bool]) -> None:
+    """Raises ValueError where the last chunk that the file's offset tables name does not end within the file.
+
+    tiled: of each part. The tables of all parts follow the headers, and the first chunk follows them: so their length
+    need not be known.
+    """
+    is_multi_part = bool(struct.unpack_from("<I", data, 4)[0] & _MULTI_PART_FLAG)
+    position = 8
+    for _ in tiled:
+        while data[position] != 0:
+            for _ in ("name", "type"):
+                position = data.find(b"\0", position) + 1
+            position += 4 + struct.unpack_from("<i", data, position)[0]
+        position += 1
+    position += is_multi_part  # an empty header ends their list
+    first, last = len(data), 0
+    while position < first:
+        offset = struct.unpack_from("<Q", data, position)[0]
+        first, last = min(first, offset), max(last, offset)
+        position += 8
+    if position != first:
+        raise ValueError("the offset table is incomplete")
+    # A chunk: (the number of its part,) its coordinates, the size of its data, the data.
+    part = struct.unpack_from("<i", data, last)[0] if is_multi_part else 0
+    size_at = last + 4 * is_multi_part + (16 if tiled[part] else 4)
+    if size_at + 4 + struct.unpack_from("<i", data, size_at)[0] > len(data):
+        raise ValueError("the last chunk is incomplete")
 
 
 def _expanded_bytes(part) -> int:
