@@ -15,6 +15,8 @@ import numpy as np
 from svgf.devices import NAMES as DEVICES
 from svgf.settings import METHODS, PIXEL_FILTERS, SIGNALS, DenoiseSettings, Settings
 
+from ..viewport.picture import OVERLAYS
+
 _LARGEST_INT = 2**31 - 1  # of Blender's integer properties
 
 # Blender stores the number of a choice in the file: numbers are never given to another one.
@@ -92,6 +94,20 @@ class SVGFSettings(bpy.types.PropertyGroup):
         soft_max=64,
         max=_LARGEST_INT,
     )
+    viewport_samples: bpy.props.IntProperty(
+        name="Viewport Samples",
+        description="Frames that a viewport renders of a scene that stands still, before it rests",
+        default=256,
+        min=1,
+        soft_max=4096,
+        max=_LARGEST_INT,
+    )
+    viewport_overlay: bpy.props.EnumProperty(
+        name="Viewport Shows",
+        description="The result, or one of the images that it is made from",
+        items=[(name, *text[:2], "", text[2]) for name, text in OVERLAYS.items()],
+        default="result",
+    )
     seed: bpy.props.IntProperty(
         name="Seed", description="Seed of the random numbers", default=Settings.seed, min=0, max=_LARGEST_INT
     )
@@ -115,11 +131,11 @@ class SVGFSettings(bpy.types.PropertyGroup):
     )
     denoise: bpy.props.PointerProperty(type=SVGFDenoiseSettings)
 
-    def to_settings(self) -> Settings:
-        """The settings of a render. Raises InputError like Settings."""
+    def to_settings(self, samples: int | None = None) -> Settings:
+        """The settings of a render; samples: instead of the file's. Raises InputError like Settings."""
         denoise = {item.name: _as_written(getattr(self.denoise, item.name)) for item in fields(DenoiseSettings)}
         return Settings(
-            samples=self.samples,
+            samples=samples or self.samples,
             seed=self.seed,
             method=self.method,
             signals=self.signals,
