@@ -50,6 +50,14 @@ def _items(names: tuple[str, ...], texts: dict[str, tuple[str, str, int]]) -> li
     return [(name, *texts[name]) for name in names]
 
 
+def _redraw_views(_properties, _context) -> None:
+    """Drawing is what tells a viewport its settings, and an assignment in Python does not draw."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
 def _number_property(item: Field) -> Any:
     """The property of a field whose metadata holds its range, meaning, unit and symbol."""
     data = item.metadata
@@ -66,6 +74,7 @@ def _number_property(item: Field) -> Any:
         default=item.default,
         min=data["minimum"],
         max=data["maximum"],
+        update=_redraw_views,
         **options,
     )
 
@@ -84,7 +93,11 @@ class SVGFSettings(bpy.types.PropertyGroup):
     """svgf.Settings, and the device that renders."""
 
     device: bpy.props.EnumProperty(
-        name="Device", description="What renders the image", items=_items(DEVICES, _DEVICES), default=DEVICES[0]
+        name="Device",
+        description="What renders the image",
+        items=_items(DEVICES, _DEVICES),
+        default=DEVICES[0],
+        update=_redraw_views,
     )
     samples: bpy.props.IntProperty(
         name="Samples",
@@ -101,33 +114,43 @@ class SVGFSettings(bpy.types.PropertyGroup):
         min=1,
         soft_max=4096,
         max=_LARGEST_INT,
+        update=_redraw_views,
     )
     viewport_overlay: bpy.props.EnumProperty(
         name="Viewport Shows",
         description="The result, or one of the images that it is made from",
         items=[(name, *text[:2], "", text[2]) for name, text in OVERLAYS.items()],
         default="result",
+        update=_redraw_views,
     )
     seed: bpy.props.IntProperty(
-        name="Seed", description="Seed of the random numbers", default=Settings.seed, min=0, max=_LARGEST_INT
+        name="Seed",
+        description="Seed of the random numbers",
+        default=Settings.seed,
+        min=0,
+        max=_LARGEST_INT,
+        update=_redraw_views,
     )
     method: bpy.props.EnumProperty(
         name="Method",
         description="How the picture is denoised",
         items=_items(METHODS, _METHODS),
         default=Settings.method,
+        update=_redraw_views,
     )
     signals: bpy.props.EnumProperty(
         name="Signals",
         description="Which parts of the light are filtered apart",
         items=_items(SIGNALS, _SIGNALS),
         default=Settings.signals,
+        update=_redraw_views,
     )
     pixel_filter: bpy.props.EnumProperty(
         name="Pixel Filter",
         description="Where in the pixel camera rays start",
         items=_items(PIXEL_FILTERS, _PIXEL_FILTERS),
         default=Settings.pixel_filter,
+        update=_redraw_views,
     )
     denoise: bpy.props.PointerProperty(type=SVGFDenoiseSettings)
 
