@@ -141,7 +141,13 @@ class Worker:
         request, done = self._request, self._done
         if request is None or request is self._failed:
             return False
-        return self._is_new(request) or self.result.samples < request.sample_limit or done.overlay != request.overlay
+        result = self.result
+        return (
+            self._is_new(request)
+            or result.samples < request.sample_limit
+            or done.overlay != request.overlay
+            or bool(result.error)  # of another request, so it is to be taken back
+        )
 
     def _is_new(self, request: Request) -> bool:
         done = self._done
