@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewport of Blender's default scene: what each change exports, restarts and shows. See window.py."""
+"""The viewport of Blender's default scene: what each change exports, restarts and shows.
+
+See window.py. Takes a folder for pictures.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scripts in a Blender with a window, which only renders its viewports between the steps of a script.
 
-    blender --python tests/gui/SCRIPT.py -- SITE [PICTURES]
+    blender --python tests/gui/SCRIPT.py -- SITE [ARGUMENT ...]
 
-SITE: a folder that holds svgf (an unpacked wheel) and the add-on as svgf_blender. PICTURES: a folder for screenshots.
+SITE: a folder that holds svgf (an unpacked wheel) and the add-on as svgf_blender. Each script says what else it takes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 
 import bpy
 
-SITE, *PICTURES = sys.argv[sys.argv.index("--") + 1 :]
+SITE, *ARGUMENTS = sys.argv[sys.argv.index("--") + 1 :]
 sys.path.insert(0, SITE)
 
 import svgf_blender  # noqa: E402
@@ -95,9 +95,10 @@ def settled(seconds: float = 60) -> Iterator[float]:
 
 
 def picture(name: str) -> Iterator[float]:
-    if PICTURES:
+    """Of the whole screen, into the folder that is the first argument; without one, nothing."""
+    if ARGUMENTS:
         yield 0.3
-        subprocess.run(["import", "-window", "root", f"{PICTURES[0]}/{name}.png"], check=True)
+        subprocess.run(["import", "-window", "root", f"{ARGUMENTS[0]}/{name}.png"], check=True)
 
 
 def memory_mb() -> float:
