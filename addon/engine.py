@@ -40,11 +40,13 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Blender's data changed, or the view has just become a rendered one."""
-        views.update(self, context, depsgraph)
+        if context.region_data is not None:  # a script may draw a view where there is none
+            views.update(self, context, depsgraph)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """The view is drawn anew: it was moved, or has news."""
-        views.draw(self, context, depsgraph)
+        if context.region_data is not None:
+            views.draw(self, context, depsgraph)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One frame of a final render.

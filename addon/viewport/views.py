@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import atexit
 import math
+import time
 import traceback
 from collections.abc import Iterator
 
@@ -21,11 +22,11 @@ Key = tuple[int, str, int]  # scene, view layer, address of the view
 _ENGINE = "SVGF"
 _BUSY_SECONDS = 1 / 60
 _IDLE_SECONDS = 0.1
-_PANEL_TICKS = 15  # between redraws of the panel that shows what a frame costs
+_PANEL_SECONDS = 0.25  # between redraws of the panels that show what a frame costs
 
 _sessions: dict[Key, tuple[ViewSession, PictureTexture]] = {}
 _stopped: list[ViewSession] = []  # their threads may still be at work
-_ticks = 0
+_panels = {"numbers": (), "time": 0.0}  # which results they show, and since when
 
 
 def update(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
@@ -115,8 +116,6 @@ def _view(context: bpy.types.Context) -> View:
 
 def _tick() -> float | None:
     """Redraws views with news, ends the sessions of views that are gone; the end of the timer without sessions."""
-    global _ticks
-    _ticks += 1
     regions = dict(_rendered_regions())
     for key in [key for key in _sessions if key[0::2] not in regions]:
         session, _ = _sessions.pop(key)
@@ -126,8 +125,7 @@ def _tick() -> float | None:
     for key, (session, _) in _sessions.items():
         if session.has_news:
             regions[key[0::2]].tag_redraw()
-            if _ticks % _PANEL_TICKS == 0:
-                _redraw_panels()
+    _refresh_panels()
     if not _sessions and not _stopped:
         return None
     return _BUSY_SECONDS if any(session.busy for session, _ in _sessions.values()) else _IDLE_SECONDS
@@ -147,7 +145,12 @@ def _rendered_regions() -> Iterator[tuple[tuple[int, int], bpy.types.Region]]:
                         yield (scene.session_uid, region.data.as_pointer()), region
 
 
-def _redraw_panels() -> None:
+def _refresh_panels() -> None:
+    """Redraws the render properties where there are new results, but not as often as there are."""
+    numbers, now = tuple(session.result.number for session, _ in _sessions.values()), time.monotonic()
+    if numbers == _panels["numbers"] or now < _panels["time"] + _PANEL_SECONDS:
+        return
+    _panels.update(numbers=numbers, time=now)
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             space = area.spaces.active

@@ -162,8 +162,9 @@ class Worker:
         result = self.result
         if self._is_new(request) or result.samples < request.sample_limit:
             result = self._render(request)
-        self._done = request
+        # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, picture=paint(result.frame, request.overlay), error=""))
+        self._done = request
 
     def _render(self, request: Request) -> Result:
         start = time.perf_counter()
@@ -218,8 +219,8 @@ class Worker:
             self._publish(replace(self.result, note=f"{error} The CPU goes on."))
 
     def _fail(self, request: Request, message: str) -> None:
-        self._failed = request
         self._publish(replace(self.result, error=message))
+        self._failed = request
 
     def _publish(self, result: Result) -> None:
         self.result = replace(result, number=self.result.number + 1)

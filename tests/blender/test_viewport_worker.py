@@ -97,6 +97,14 @@ def test_without_denoiser_the_mean_is_shown(worker, scene):
     assert np.abs(frames.color - frames.noisy).mean() > 1e-4
 
 
+def test_still_view_becomes_what_a_final_render_is(worker, scene):
+    """Without denoiser: the mean of many frames of one sample is one frame of many samples."""
+    color = ask(worker, scene, limit=128, settings=Settings(method="none")).frame.color
+    final = module.Renderer(Settings(method="none", samples=128), DEVICE).render(scene).color
+    assert np.abs(color - final).mean() < 0.02 * final.mean()
+    assert color.mean() == pytest.approx(final.mean(), rel=0.005)
+
+
 def test_overlay_paints_the_same_frame_again(worker, scene):
     first = ask(worker, scene)
     second = ask(worker, scene, overlay="normal")
