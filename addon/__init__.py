@@ -2,10 +2,11 @@
 """SVGF as a render engine in Blender."""
 
 from . import engine, session
-from .ui import panels, properties
+from .ui import panels, properties, statistics
+from .viewport import views
 
 # Properties come first, because the others refer to them.
-_MODULES = (properties, session, engine, panels)
+_MODULES = (properties, session, views, engine, panels, statistics)
 
 
 def register() -> None:

@@ -14,6 +14,7 @@ from svgf.frame import Frame
 
 from .export import export_frame
 from .session import Session, find_session
+from .viewport import views
 
 _POLL_SECONDS = 0.02  # between looks for Esc
 _OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0, 0) else "IndexOB"
@@ -28,10 +29,24 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True  # for Material Preview
     bl_use_shading_nodes_custom = False  # materials are made of Cycles' nodes
 
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__(*arguments, **named)
+        self.token = object()  # tells instances apart, even where one takes another's place in memory
+
     def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer=None) -> None:
         """Tells Blender which passes there will be."""
         for name, channels, kind in _passes(renderlayer):
             self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Blender's data changed, or the view has just become a rendered one."""
+        if context.region_data is not None:  # a script may draw a view where there is none
+            views.update(self, context, depsgraph)
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """The view is drawn anew: it was moved, or has news."""
+        if context.region_data is not None:
+            views.draw(self, context, depsgraph)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One frame of a final render.

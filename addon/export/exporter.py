@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -12,6 +13,7 @@ from svgf.errors import InputError
 from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
 
 from .camera import export_camera, render_size
+from .changes import Changes
 from .findings import Findings
 from .instances import Key, collect, object_ids
 from .materials import MaterialTable
@@ -44,6 +46,22 @@ class _Snapshot:
     warnings: tuple[str, ...]
 
 
+@dataclass
+class ExportCounters:
+    """What an exporter did since it was made.
+
+    exports: walks through all objects. full: those that read every mesh. meshes: read from Blender. instances,
+    materials, lights: that were new or differed from those of the export before.
+    """
+
+    exports: int = 0
+    full: int = 0
+    meshes: int = 0
+    instances: int = 0
+    materials: int = 0
+    lights: int = 0
+
+
 class Exporter:
     """Exports the frames of one scene and view layer in turn. What did not change is the same object in each of them.
 
@@ -52,6 +70,7 @@ class Exporter:
     """
 
     def __init__(self) -> None:
+        self.counters = ExportCounters()
         self._meshes = MeshCache()
         self._textures = TextureCache()
         self._last: _Snapshot | None = None
@@ -90,6 +109,84 @@ class Exporter:
                 f'Scene "{now.name}" has no mesh to render at frame {now.frame}.',
                 "Add one, or enable its rendering (the camera icon in the outliner).",
             )
+        return self._scene(now, last)
+
+    def export_view(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        camera: Camera,
+        changes: Changes | None = None,
+        space: bpy.types.SpaceView3D | None = None,
+    ) -> Scene:
+        """The depsgraph's frame as a 3D view shows it, if need be without a mesh or a camera of its own.
+
+        camera: of the view. changes: since the last call; None: unknown. space: hides what is not in its local view.
+        """
+        last = self._last
+        if changes is not None:
+            self._textures.forget(changes.images)
+        geometry = changes.geometry if changes is not None and last is not None else None
+        now = self._snapshot(
+            depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
+        )
+        return self._scene(now, last)
+
+    def _take(
+        self, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None, camera: bpy.types.Object | None
+    ) -> _Snapshot:
+        """The frame as the scene's camera, or another one, sees it."""
+        scene, findings = depsgraph.scene_eval, Findings()
+        size, camera = size or render_size(scene.render), camera or scene.camera
+        exported = export_camera(camera, scene, size, findings)
+        return self._snapshot(depsgraph, size, camera.name_full, exported, findings)
+
+    def _snapshot(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        size: tuple[int, int],
+        camera_name: str,
+        camera: Camera,
+        findings: Findings,
+        changed: Set[str] | None = None,
+        space: bpy.types.SpaceView3D | None = None,
+    ) -> _Snapshot:
+        last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
+        _find_unsupported(scene, findings)
+        materials = MaterialTable(self._textures, findings)
+        self._meshes.start_frame(changed)
+        placements = collect(depsgraph, self._meshes, materials, findings, space)
+        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        self._last = _Snapshot(
+            frame=scene.frame_current,
+            camera_name=camera_name,
+            camera=_keep(camera, last and last.camera),
+            keys={key: row for row, key in enumerate(placements.keys)},
+            matrices=placements.matrices,
+            meshes=_keep_all(placements.meshes, last and last.meshes),
+            instance_mesh=np.array(placements.mesh, np.int32),
+            material_start=np.array(placements.material_start, np.int32),
+            material_table=np.array(placements.material_table, np.int32),
+            materials=_keep_all(materials.materials, last and last.materials),
+            textures=_keep_all(materials.textures, last and last.textures),
+            lights=_keep_all(placements.lights, last and last.lights),
+            world=_keep(world, last and last.world),
+            defaults=render_defaults(scene, size),
+            name=scene.name,
+            warnings=findings.sentences(),
+        )
+        self._count(self._last, last, full=changed is None)
+        return self._last
+
+    def _count(self, now: _Snapshot, last: _Snapshot | None, full: bool) -> None:
+        counters = self.counters
+        counters.exports += 1
+        counters.full += full
+        counters.meshes = self._meshes.reads
+        counters.instances += _moved_count(now, last)
+        counters.materials += _new_count(now.materials, last and last.materials)
+        counters.lights += _new_count(now.lights, last and last.lights)
+
+    def _scene(self, now: _Snapshot, last: _Snapshot | None) -> Scene:
         instances = Instances(
             mesh=now.instance_mesh,
             object_to_world=now.matrices,
@@ -115,39 +212,6 @@ class Exporter:
             warnings=now.warnings,
         )
 
-    def _take(
-        self, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None, camera: bpy.types.Object | None
-    ) -> _Snapshot:
-        last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
-        size = size or render_size(scene.render)
-        findings = Findings()
-        _find_unsupported(scene, findings)
-        camera = camera or scene.camera
-        exported_camera = export_camera(camera, scene, size, findings)
-        materials = MaterialTable(self._textures, findings)
-        self._meshes.start_frame()
-        placements = collect(depsgraph, self._meshes, materials, findings)
-        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
-        self._last = _Snapshot(
-            frame=scene.frame_current,
-            camera_name=camera.name_full,
-            camera=_keep(exported_camera, last and last.camera),
-            keys={key: row for row, key in enumerate(placements.keys)},
-            matrices=placements.matrices,
-            meshes=_keep_all(placements.meshes, last and last.meshes),
-            instance_mesh=np.array(placements.mesh, np.int32),
-            material_start=np.array(placements.material_start, np.int32),
-            material_table=np.array(placements.material_table, np.int32),
-            materials=_keep_all(materials.materials, last and last.materials),
-            textures=_keep_all(materials.textures, last and last.textures),
-            lights=_keep_all(placements.lights, last and last.lights),
-            world=_keep(world, last and last.world),
-            defaults=_defaults(scene, size),
-            name=scene.name,
-            warnings=findings.sentences(),
-        )
-        return self._last
-
 
 def export_scene(
     depsgraph: bpy.types.Depsgraph, *, previous: Exporter | None = None, size: tuple[int, int] | None = None
@@ -172,7 +236,23 @@ def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
     return now.matrices if np.array_equal(previous, now.matrices) else previous
 
 
-def _defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefaults:
+def _moved_count(now: _Snapshot, last: _Snapshot | None) -> int:
+    """Placements that are new, or elsewhere than in the last snapshot."""
+    if last is None:
+        return len(now.keys)
+    rows = np.array([last.keys.get(key, -1) for key in now.keys], int)
+    known = rows >= 0
+    same = (now.matrices[known] == last.matrices[rows[known]]).all(axis=(1, 2))
+    return len(rows) - int(np.count_nonzero(same))
+
+
+def _new_count(now: tuple[_T, ...], last: tuple[_T, ...] | None) -> int:
+    kept = {id(item) for item in last or ()}
+    return sum(id(item) not in kept for item in now)
+
+
+def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefaults:
+    """What an evaluated or original scene says about its render, for an image of this size."""
     render = scene.render
     cycles = getattr(scene, "cycles", None)  # absent where the Cycles add-on is disabled
     return RenderDefaults(

@@ -48,10 +48,14 @@ class Placements:
 
 
 def collect(
-    depsgraph: bpy.types.Depsgraph, mesh_cache: MeshCache, materials: MaterialTable, findings: Findings
+    depsgraph: bpy.types.Depsgraph,
+    mesh_cache: MeshCache,
+    materials: MaterialTable,
+    findings: Findings,
+    space: bpy.types.SpaceView3D | None = None,
 ) -> Placements:
-    """Reads all object instances of the evaluated frame."""
-    return _Collector(mesh_cache, materials, findings, depsgraph.view_layer_eval).collect(depsgraph)
+    """Reads all object instances of the evaluated frame, those that `space` hides (as in its local view) left out."""
+    return _Collector(mesh_cache, materials, findings, depsgraph.view_layer_eval, space).collect(depsgraph)
 
 
 def object_ids(keys: Iterable[Key]) -> np.ndarray:
@@ -74,12 +78,18 @@ def object_ids(keys: Iterable[Key]) -> np.ndarray:
 
 class _Collector:
     def __init__(
-        self, mesh_cache: MeshCache, materials: MaterialTable, findings: Findings, view_layer: bpy.types.ViewLayer
+        self,
+        mesh_cache: MeshCache,
+        materials: MaterialTable,
+        findings: Findings,
+        view_layer: bpy.types.ViewLayer,
+        space: bpy.types.SpaceView3D | None,
     ) -> None:
         self._mesh_cache = mesh_cache
         self._materials = materials
         self._findings = findings
         self._override = view_layer.material_override
+        self._space = space
         self._rows: list[int] = []
         self._placements = Placements()
         self._meshes: dict[int, int | None] = {}  # address of Blender's mesh -> index, None without triangles
@@ -107,6 +117,8 @@ class _Collector:
                 if kind in _UNSUPPORTED_TYPES:
                     self._findings.add(owner, f"{_UNSUPPORTED_TYPES[kind]} not supported yet; the object is left out.")
                 continue
+            if self._space is not None and not self._is_in_view(instance):
+                continue
             if not finite[row]:
                 self._findings.add(owner, "its transform is not finite; it is left out.")
             elif kind == "LIGHT":
@@ -120,6 +132,10 @@ class _Collector:
                 self._add_mesh(owner, row, key)
         self._placements.matrices = matrices[self._rows, :3]
         return self._placements
+
+    def _is_in_view(self, instance: bpy.types.DepsgraphObjectInstance) -> bool:
+        """An instance is where its instancer is."""
+        return (instance.parent if instance.is_instance else instance.object).visible_in_viewport_get(self._space)
 
     def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key) -> None:
         data = owner.data

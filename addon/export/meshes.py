@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass, replace
 
 import bpy
@@ -63,15 +64,21 @@ class MeshCache:
 
     A mesh is looked up by its owner's name. Where the owner is new, one of equal content is looked for, so that
     instances keep their mesh when the first of them is hidden.
+
+    reads: how often a mesh was read from Blender.
     """
 
     def __init__(self) -> None:
+        self.reads = 0
+        self._changed: Set[str] | None = None
         self._last: dict[tuple[str, int], _Entry] = {}
         self._by_shape: dict[tuple[int, int, int], list[_Entry]] = {}
         self._now: dict[tuple[str, int], _Entry] = {}
         self._counts: dict[str, int] = {}
 
-    def start_frame(self) -> None:
+    def start_frame(self, changed: Set[str] | None = None) -> None:
+        """changed: full names of the objects whose geometry may differ from the last frame's; None: any."""
+        self._changed = changed
         self._last, self._now, self._counts = self._now, {}, {}
         self._by_shape = {}
         for entry in self._last.values():
@@ -86,9 +93,13 @@ class MeshCache:
         name = owner.name_full
         key = (name, self._counts.setdefault(name, 0))
         self._counts[name] += 1
+        last = self._last.get(key)
+        if last is not None and self._changed is not None and name not in self._changed:
+            self._now[key] = _at_rest(last)
+            return self._now[key].mesh
         data = owner.to_mesh()
         source = _read(data)
-        last = self._last.get(key)
+        self.reads += 1
         if last is None:
             last = next((entry for entry in self._by_shape.get(source.shape(), ()) if source.same(entry.source)), None)
         entry = _advance(source, last) or _Entry(source, _build(owner, data, source, last, findings))
@@ -98,9 +109,12 @@ class MeshCache:
 
 
 def _advance(source: _Source, last: _Entry | None) -> _Entry | None:
-    """The last frame's entry where nothing changed; it may have moved at that time and come to rest now."""
-    if last is None or not source.same(last.source):
-        return None
+    """The last frame's entry where nothing changed."""
+    return None if last is None or not source.same(last.source) else _at_rest(last)
+
+
+def _at_rest(last: _Entry) -> _Entry:
+    """The last frame's entry; it may have moved at that time and come to rest now."""
     if last.mesh is None or last.mesh.previous_positions is None:
         return last
     return _Entry(last.source, replace(last.mesh, previous_positions=None))

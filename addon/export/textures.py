@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import bpy
 import numpy as np
 from svgf.scene import Extension, Interpolation, Texture
@@ -41,12 +43,18 @@ def read_pixels(image: bpy.types.Image) -> np.ndarray | None:
 class TextureCache:
     """Textures by image and how it is read. The same Texture object is returned as long as the image stays the same.
 
-    Pixels are read once: a render job sees the images as they were at its start.
+    Pixels are read once, until forgotten: a render job sees the images as they were at its start.
     """
 
     def __init__(self) -> None:
         self._textures: dict[tuple, Texture | None] = {}
         self._means: dict[tuple, np.ndarray | None] = {}
+
+    def forget(self, names: Set[str]) -> None:
+        """Images by full name, which are read again."""
+        for cache in (self._textures, self._means):
+            for key in [key for key in cache if key[0] in names]:
+                del cache[key]
 
     def mean_radiance(self, image: bpy.types.Image) -> np.ndarray | None:
         """[3] mean over all directions of an equirectangular image; None where it is missing."""

@@ -25,7 +25,9 @@ _BORROWED = {
 }
 
 
-class _EnginePanel:
+class EnginePanel:
+    """A panel of the render properties."""
+
     bl_space_type = "PROPERTIES"
     bl_region_type = "WINDOW"
     bl_context = "render"
@@ -35,23 +37,23 @@ class _EnginePanel:
     def poll(cls, context: bpy.types.Context) -> bool:
         return context.engine in cls.COMPAT_ENGINES
 
-    def _columns(self) -> bpy.types.UILayout:
+    def columns(self) -> bpy.types.UILayout:
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
         return layout.column()
 
 
-class SVGF_PT_sampling(_EnginePanel, bpy.types.Panel):
+class SVGF_PT_sampling(EnginePanel, bpy.types.Panel):
     bl_label = "Sampling"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self._columns()
-        for name in ("device", "samples", "seed", "pixel_filter"):
+        column = self.columns()
+        for name in ("device", "samples", "viewport_samples", "viewport_overlay", "seed", "pixel_filter"):
             column.prop(context.scene.svgf, name)
 
 
-class SVGF_PT_light_paths(_EnginePanel, bpy.types.Panel):
+class SVGF_PT_light_paths(EnginePanel, bpy.types.Panel):
     """Cycles' own settings, so that both engines render alike."""
 
     bl_label = "Light Paths"
@@ -62,21 +64,21 @@ class SVGF_PT_light_paths(_EnginePanel, bpy.types.Panel):
         return super().poll(context) and hasattr(context.scene, "cycles")
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self._columns()
+        column = self.columns()
         column.prop(context.scene.cycles, "max_bounces", text="Bounces")
         column.prop(context.scene.cycles, "film_exposure", text="Exposure")
 
 
-class SVGF_PT_denoiser(_EnginePanel, bpy.types.Panel):
+class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
     bl_label = "Denoiser"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self._columns()
+        column = self.columns()
         for name in ("method", "signals"):
             column.prop(context.scene.svgf, name)
 
 
-class SVGF_PT_denoiser_advanced(_EnginePanel, bpy.types.Panel):
+class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
     bl_label = "Advanced"
     bl_parent_id = "SVGF_PT_denoiser"
     bl_options = {"DEFAULT_CLOSED"}
@@ -86,19 +88,19 @@ class SVGF_PT_denoiser_advanced(_EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.scene.svgf.method != "none"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self._columns()
+        column = self.columns()
         wavelets = context.scene.svgf.method == "eaw"
         for item in fields(DenoiseSettings):
             if item.name == "levels" or item.name.startswith("eaw_") == wavelets:
                 column.prop(context.scene.svgf.denoise, item.name)
 
 
-class SVGF_PT_passes(_EnginePanel, bpy.types.Panel):
+class SVGF_PT_passes(EnginePanel, bpy.types.Panel):
     bl_label = "Passes"
     bl_context = "view_layer"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self._columns()
+        column = self.columns()
         for name in ("use_pass_z", "use_pass_normal", "use_pass_vector", "use_pass_object_index"):
             column.prop(context.view_layer, name)
 

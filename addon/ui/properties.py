@@ -15,6 +15,8 @@ import numpy as np
 from svgf.devices import NAMES as DEVICES
 from svgf.settings import METHODS, PIXEL_FILTERS, SIGNALS, DenoiseSettings, Settings
 
+from ..viewport.picture import OVERLAYS
+
 _LARGEST_INT = 2**31 - 1  # of Blender's integer properties
 
 # Blender stores the number of a choice in the file: numbers are never given to another one.
@@ -48,6 +50,14 @@ def _items(names: tuple[str, ...], texts: dict[str, tuple[str, str, int]]) -> li
     return [(name, *texts[name]) for name in names]
 
 
+def _redraw_views(_properties, _context) -> None:
+    """Drawing is what tells a viewport its settings, and an assignment in Python does not draw."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
 def _number_property(item: Field) -> Any:
     """The property of a field whose metadata holds its range, meaning, unit and symbol."""
     data = item.metadata
@@ -64,6 +74,7 @@ def _number_property(item: Field) -> Any:
         default=item.default,
         min=data["minimum"],
         max=data["maximum"],
+        update=_redraw_views,
         **options,
     )
 
@@ -82,7 +93,11 @@ class SVGFSettings(bpy.types.PropertyGroup):
     """svgf.Settings, and the device that renders."""
 
     device: bpy.props.EnumProperty(
-        name="Device", description="What renders the image", items=_items(DEVICES, _DEVICES), default=DEVICES[0]
+        name="Device",
+        description="What renders the image",
+        items=_items(DEVICES, _DEVICES),
+        default=DEVICES[0],
+        update=_redraw_views,
     )
     samples: bpy.props.IntProperty(
         name="Samples",
@@ -92,34 +107,58 @@ class SVGFSettings(bpy.types.PropertyGroup):
         soft_max=64,
         max=_LARGEST_INT,
     )
+    viewport_samples: bpy.props.IntProperty(
+        name="Viewport Samples",
+        description="Frames that a viewport renders of a scene that stands still, before it rests",
+        default=256,
+        min=1,
+        soft_max=4096,
+        max=_LARGEST_INT,
+        update=_redraw_views,
+    )
+    viewport_overlay: bpy.props.EnumProperty(
+        name="Viewport Shows",
+        description="The result, or one of the images that it is made from",
+        items=[(name, *text[:2], "", text[2]) for name, text in OVERLAYS.items()],
+        default="result",
+        update=_redraw_views,
+    )
     seed: bpy.props.IntProperty(
-        name="Seed", description="Seed of the random numbers", default=Settings.seed, min=0, max=_LARGEST_INT
+        name="Seed",
+        description="Seed of the random numbers",
+        default=Settings.seed,
+        min=0,
+        max=_LARGEST_INT,
+        update=_redraw_views,
     )
     method: bpy.props.EnumProperty(
         name="Method",
         description="How the picture is denoised",
         items=_items(METHODS, _METHODS),
         default=Settings.method,
+        update=_redraw_views,
     )
     signals: bpy.props.EnumProperty(
         name="Signals",
         description="Which parts of the light are filtered apart",
         items=_items(SIGNALS, _SIGNALS),
         default=Settings.signals,
+        update=_redraw_views,
     )
     pixel_filter: bpy.props.EnumProperty(
         name="Pixel Filter",
         description="Where in the pixel camera rays start",
         items=_items(PIXEL_FILTERS, _PIXEL_FILTERS),
         default=Settings.pixel_filter,
+        update=_redraw_views,
     )
     denoise: bpy.props.PointerProperty(type=SVGFDenoiseSettings)
 
-    def to_settings(self) -> Settings:
-        """The settings of a render. Raises InputError like Settings."""
+    def to_settings(self, samples: int | None = None) -> Settings:
+        """The settings of a render; samples: instead of the file's. Raises InputError like Settings."""
         denoise = {item.name: _as_written(getattr(self.denoise, item.name)) for item in fields(DenoiseSettings)}
         return Settings(
-            samples=self.samples,
+            samples=samples or self.samples,
             seed=self.seed,
             method=self.method,
             signals=self.signals,

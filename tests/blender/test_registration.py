@@ -14,7 +14,7 @@ from svgf import __version__
 from svgf.errors import InputError
 from svgf.settings import DenoiseSettings, Settings
 
-HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre")
+HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre", "undo_post", "redo_post")
 
 
 def state() -> tuple:

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What Blender says has changed, as the least that has to be exported again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import bpy
+
+_NOTHING: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Changes:
+    """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
+
+    Matrices, materials, lamps and the world are few or read in bulk, so they are read with every export.
+    """
+
+    geometry: frozenset[str] = _NOTHING
+    images: frozenset[str] = _NOTHING
+
+
+def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None:
+    """The changes of one evaluation, None where there is nothing to export.
+
+    A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
+    that an object was selected as well as hidden.
+    """
+    geometry, images, exports = set(), set(), False
+    for update in updates:
+        changed = update.id
+        if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
+            continue
+        exports = True
+        if isinstance(changed, bpy.types.Image):
+            images.add(changed.name_full)
+        elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
+            geometry.add(changed.name_full)
+    return Changes(frozenset(geometry), frozenset(images)) if exports else None

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sessions of all views: found again by scene and view, looked after by a timer, closed with their view."""
+
+from __future__ import annotations
+
+import atexit
+import math
+import time
+import traceback
+from collections.abc import Iterator
+
+import bpy
+from svgf.errors import Error
+
+from ..export.exporter import render_defaults
+from .camera import View, view_camera
+from .draw import PictureTexture
+from .session import ViewSession
+
+Key = tuple[int, str, int]  # scene, view layer, address of the view
+
+_ENGINE = "SVGF"
+_BUSY_SECONDS = 1 / 60
+_IDLE_SECONDS = 0.1
+_PANEL_SECONDS = 0.25  # between redraws of the panels that show what a frame costs
+
+_sessions: dict[Key, tuple[ViewSession, PictureTexture]] = {}
+_stopped: list[ViewSession] = []  # their threads may still be at work
+_panels = {"numbers": (), "time": 0.0}  # which results they show, and since when
+
+
+def update(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+    """Blender's data changed."""
+    session, _ = _find(context, depsgraph)
+    _sync(session, engine, context, depsgraph)
+
+
+def draw(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+    """Draws the newest picture, and asks for the next one where the view or the settings changed."""
+    session, texture = _find(context, depsgraph)
+    if session.engine != engine.token:  # a file or an undo has closed the session that this engine knew
+        _sync(session, engine, context, depsgraph)
+    try:
+        _show(session, context, depsgraph, engine)
+        result = session.result
+        session.drawn = result.number
+        if result.picture is not None:
+            texture.draw(engine, depsgraph.scene, result.picture, context.region)
+        engine.update_stats("", session.status())
+    except Error as error:
+        engine.update_stats("", str(error))
+    except Exception as error:  # An exception here would come with every redraw.
+        traceback.print_exc()
+        engine.update_stats("", f"Drawing failed: {error!r}. The traceback is in the console.")
+
+
+def sessions_of(scene: bpy.types.Scene) -> list[ViewSession]:
+    """The sessions of the views that show a scene, the one with the newest picture last."""
+    uid = scene.original.session_uid
+    found = [session for key, (session, _) in _sessions.items() if key[0] == uid]
+    return sorted(found, key=lambda session: session.result.number)
+
+
+def close_all(*_arguments) -> None:
+    """Waits for all workers to end."""
+    while _sessions:
+        _, (session, _) = _sessions.popitem()
+        session.close()
+    while _stopped:
+        _stopped.pop().close()
+
+
+def _find(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> tuple[ViewSession, PictureTexture]:
+    scene = depsgraph.scene.original
+    key = (scene.session_uid, depsgraph.view_layer.name, context.region_data.as_pointer())
+    if key not in _sessions:
+        _sessions[key] = ViewSession(), PictureTexture()
+    if not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, persistent=True)
+    return _sessions[key]
+
+
+def _sync(session: ViewSession, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph) -> None:
+    session.sync(depsgraph, context.space_data, whole=session.engine != engine.token)
+    session.engine = engine.token
+
+
+def _show(
+    session: ViewSession,
+    context: bpy.types.Context,
+    depsgraph: bpy.types.Depsgraph,
+    engine: bpy.types.RenderEngine,
+) -> None:
+    scene, region = depsgraph.scene_eval, context.region
+    pixel_size = int(engine.get_preview_pixel_size(scene))
+    size = math.ceil(region.width / pixel_size), math.ceil(region.height / pixel_size)
+    properties = scene.svgf
+    session.show(
+        _view(context),
+        render_defaults(scene, size),
+        properties.to_settings(samples=1),
+        properties.device,
+        properties.viewport_samples,
+        properties.viewport_overlay,
+    )
+
+
+def _view(context: bpy.types.Context) -> View:
+    space, region_view = context.space_data, context.region_data
+    clip = space.clip_start, space.clip_end
+    camera = space.camera
+    if region_view.view_perspective == "CAMERA" and camera is not None and camera.type == "CAMERA":
+        clip = camera.data.clip_start, camera.data.clip_end
+    return view_camera(region_view.view_matrix, region_view.window_matrix, clip)
+
+
+def _tick() -> float | None:
+    """Redraws views with news, ends the sessions of views that are gone; the end of the timer without sessions."""
+    regions = dict(_rendered_regions())
+    for key in [key for key in _sessions if key[0::2] not in regions]:
+        session, _ = _sessions.pop(key)
+        session.stop()
+        _stopped.append(session)
+    _stopped[:] = [session for session in _stopped if session.alive]
+    for key, (session, _) in _sessions.items():
+        if session.has_news:
+            regions[key[0::2]].tag_redraw()
+    _refresh_panels()
+    if not _sessions and not _stopped:
+        return None
+    return _BUSY_SECONDS if any(session.busy for session, _ in _sessions.values()) else _IDLE_SECONDS
+
+
+def _rendered_regions() -> Iterator[tuple[tuple[int, int], bpy.types.Region]]:
+    """((scene, view), region) of all views in Rendered shading."""
+    for window in bpy.context.window_manager.windows:
+        scene = window.scene
+        if scene.render.engine != _ENGINE:
+            continue
+        for area in window.screen.areas:
+            space = area.spaces.active
+            if space.type == "VIEW_3D" and space.shading.type == "RENDERED":
+                for region in area.regions:
+                    if region.type == "WINDOW":
+                        yield (scene.session_uid, region.data.as_pointer()), region
+
+
+def _refresh_panels() -> None:
+    """Redraws the render properties where there are new results, but not as often as there are."""
+    numbers, now = tuple(session.result.number for session, _ in _sessions.values()), time.monotonic()
+    if numbers == _panels["numbers"] or now < _panels["time"] + _PANEL_SECONDS:
+        return
+    _panels.update(numbers=numbers, time=now)
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            space = area.spaces.active
+            if space.type == "PROPERTIES" and space.context == "RENDER":
+                area.tag_redraw()
+
+
+@bpy.app.handlers.persistent
+def _close_all(*_arguments) -> None:
+    close_all()
+
+
+@bpy.app.handlers.persistent
+def _forget_engines(*_arguments) -> None:
+    """After an undo the depsgraph does not name all that differs."""
+    for session, _ in _sessions.values():
+        session.engine = None
+
+
+def _handlers() -> Iterator[tuple[list, object]]:
+    handlers = bpy.app.handlers
+    yield handlers.load_pre, _close_all
+    yield handlers.undo_post, _forget_engines
+    yield handlers.redo_post, _forget_engines
+
+
+def register() -> None:
+    for handlers, function in _handlers():
+        handlers.append(function)
+    # A Blender that quits without disabling the add-on must not end under a thread that renders.
+    atexit.register(close_all)
+
+
+def unregister() -> None:
+    atexit.unregister(close_all)
+    for handlers, function in _handlers():
+        handlers.remove(function)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    close_all()

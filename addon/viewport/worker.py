@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The thread that renders for one view, and owns the renderer and its device. Nothing here knows Blender."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from svgf.devices import Device, open_device
+from svgf.errors import DeviceError, Error, Interrupted
+from svgf.frame import Frame
+from svgf.renderer import Renderer
+from svgf.scene import Scene
+from svgf.settings import Settings
+
+from .follow import follow, restart_reason
+from .picture import paint
+
+_JOIN_SECONDS = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What a view wants to see.
+
+    scene: as exported, with the view's camera and size; the same object means that nothing changed. sample_limit:
+    frames of a scene that stands still, after which the worker sleeps. overlay: a key of picture.OVERLAYS.
+    """
+
+    scene: Scene
+    settings: Settings
+    device: str
+    sample_limit: int
+    overlay: str = "result"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What the worker has come to. A new one replaces it; it never changes.
+
+    number: counts pictures and messages. picture: as paint makes it. samples: frames since the view came to rest.
+    reset: why history was last restarted. frames: frames since then. milliseconds: the newest frame, all in all.
+    device: the hardware. error: what stops the picture from being renewed. note: what the user should know besides.
+    """
+
+    number: int = 0
+    scene: Scene | None = None
+    frame: Frame | None = None
+    picture: np.ndarray | None = None
+    samples: int = 0
+    reset: str = ""
+    frames: int = 0
+    milliseconds: float = 0.0
+    device: str = ""
+    error: str = ""
+    note: str = ""
+
+
+class Worker:
+    """Renders the newest request again and again until its sample limit, one after the other without a queue."""
+
+    def __init__(self, open_device: Callable[[str], Device] = open_device) -> None:
+        self.result = Result()
+        self._open_device = open_device
+        self._condition = threading.Condition()
+        self._request: Request | None = None
+        self._stopping = False
+        # Daemon, so that a Blender that ends without disabling the add-on is not held up.
+        self._thread = threading.Thread(target=self._run, name="svgf view", daemon=True)
+        # Of the thread alone:
+        self._renderer: Renderer | None = None
+        self._device_name = ""
+        self._lost: set[str] = set()  # devices that failed
+        self._done: Request | None = None  # the last request that was rendered
+        self._failed: Request | None = None  # not tried again
+        self._mean: np.ndarray | None = None
+
+    def submit(self, request: Request) -> None:
+        """Takes the place of the last request. A frame that is being rendered is finished first, for the sake of its
+        history.
+        """
+        with self._condition:
+            self._request = request
+            if not self._stopping and not self._thread.is_alive():
+                self._thread.start()
+            self._condition.notify()
+
+    @property
+    def busy(self) -> bool:
+        """Whether there will be a new result without a new request."""
+        return self._thread.is_alive() and self._has_work()
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    def stop(self) -> None:
+        """Soon the thread ends by itself, and frees the device's memory."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify()
+        self._interrupt()
+
+    def close(self) -> None:
+        """Stops the thread and waits for its end."""
+        self.stop()
+        while self._thread.is_alive():
+            self._thread.join(_JOIN_SECONDS)
+            self._interrupt()  # again, because the renderer may only just be made
+
+    def _interrupt(self) -> None:
+        renderer = self._renderer
+        if renderer is not None:
+            renderer.interrupt()
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._stopping or self._has_work())
+                if self._stopping:
+                    break
+                request = self._request
+            try:
+                self._serve(request)
+            except Interrupted:
+                pass  # only to stop
+            except DeviceError as error:
+                self._drop_device(request, error)
+            except Error as error:
+                self._fail(request, str(error))
+            except BaseException as error:  # The viewport shows whatever it is, and lives on.
+                traceback.print_exc()
+                self._fail(request, f"svgf failed: {error!r}. The traceback is in the console.")
+        self._renderer = None
+
+    def _has_work(self) -> bool:
+        request, done = self._request, self._done
+        if request is None or request is self._failed:
+            return False
+        result = self.result
+        return (
+            self._is_new(request)
+            or result.samples < request.sample_limit
+            or done.overlay != request.overlay
+            or bool(result.error)  # of another request, so it is to be taken back
+        )
+
+    def _is_new(self, request: Request) -> bool:
+        done = self._done
+        return (
+            done is None
+            or request.scene is not done.scene
+            or request.settings != done.settings
+            or request.device != done.device
+        )
+
+    def _serve(self, request: Request) -> None:
+        result = self.result
+        if self._is_new(request) or result.samples < request.sample_limit:
+            result = self._render(request)
+        # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
+        self._publish(replace(result, picture=paint(result.frame, request.overlay), error=""))
+        self._done = request
+
+    def _render(self, request: Request) -> Result:
+        start = time.perf_counter()
+        renderer = self._prepare(request)
+        last, new = self.result, self._is_new(request)
+        scene = follow(request.scene, last.scene) if new or last.scene is None else last.scene
+        if new and self._done is not None:
+            reason = restart_reason(request.scene, self._done.scene)
+            if reason:
+                renderer.reset(reason)
+        frame = renderer.render(scene)
+        samples = 1 if new or frame.reset else last.samples + 1
+        if request.settings.method == "none":
+            frame = self._averaged(frame, samples)
+        return replace(
+            last,
+            scene=scene,
+            frame=frame,
+            samples=samples,
+            reset=frame.reset or last.reset,
+            frames=1 if frame.reset else last.frames + 1,
+            milliseconds=(time.perf_counter() - start) * 1e3,
+            device=renderer.device.description,
+        )
+
+    def _prepare(self, request: Request) -> Renderer:
+        """The renderer of a request, a new one where the settings or the device are others."""
+        device = "cpu" if request.device in self._lost else request.device
+        renderer = self._renderer
+        if renderer is None or renderer.settings != request.settings or self._device_name != device:
+            opened = renderer.device if renderer is not None and self._device_name == device else None
+            self._renderer = renderer = None  # its memory is free before the next one asks for some
+            self._device_name = device
+            renderer = self._renderer = Renderer(request.settings, opened or self._open_device(device))
+            if self.result.frame is not None:
+                renderer.reset("the settings changed" if opened else "the device changed")
+        return renderer
+
+    def _averaged(self, frame: Frame, samples: int) -> Frame:
+        """Without a denoiser, the mean of all frames since the view came to rest is the picture."""
+        color = frame.color.astype(np.float64)
+        self._mean = color if samples == 1 else self._mean + (color - self._mean) / samples
+        return replace(frame, color=self._mean.astype(np.float32))
+
+    def _drop_device(self, request: Request, error: DeviceError) -> None:
+        """The processor goes on where the GPU failed."""
+        renderer, self._renderer = self._renderer, None
+        if (renderer.device.name if renderer else self._device_name) == "cpu":
+            self._fail(request, str(error))
+        else:
+            self._lost.add(request.device)
+            self._publish(replace(self.result, note=f"{error} The CPU goes on."))
+
+    def _fail(self, request: Request, message: str) -> None:
+        self._publish(replace(self.result, error=message))
+        self._failed = request
+
+    def _publish(self, result: Result) -> None:
+        self.result = replace(result, number=self.result.number + 1)

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thread that renders for a view: until its limit, with history, through errors, to its end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from blend import add_cube, add_light, export
+from svgf.devices import available_devices
+from svgf.errors import DeviceError, InputError, Interrupted
+from svgf.settings import Settings
+from svgf_blender.viewport import worker as module
+from svgf_blender.viewport.picture import OVERLAYS, paint
+from svgf_blender.viewport.worker import Request, Worker
+
+DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.available and info.name == "cpu")
+
+
+@pytest.fixture
+def scene():
+    add_cube()
+    add_light("AREA", location=(0, -2, 4), energy=200)
+    return export(size=(24, 14))
+
+
+@pytest.fixture
+def worker():
+    worker = Worker()
+    yield worker
+    worker.close()
+    assert not worker.alive
+
+
+def ask(worker, scene, limit=4, seconds=30, **changes):
+    """The result at which the worker has come to rest."""
+    request = replace(Request(scene, Settings(), DEVICE, limit), **changes)
+    worker.submit(request)
+    end = time.monotonic() + seconds
+    while worker.busy:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    return worker.result
+
+
+def test_rests_at_the_sample_limit(worker, scene):
+    result = ask(worker, scene)
+    assert (result.samples, result.frames, result.reset, result.error) == (4, 4, "first frame", "")
+    assert result.frame.history_length.max() == 4 and result.frame.timings["path"] > 0
+    used = time.process_time()
+    time.sleep(0.3)
+    assert worker.result is result and time.process_time() - used < 0.1
+    assert ask(worker, scene, limit=6).samples == 6
+    assert ask(worker, scene, limit=2).samples == 6
+
+
+def test_still_view_has_no_motion(worker, scene):
+    assert not ask(worker, scene).frame.motion[..., :2].any()
+
+
+def test_view_that_turns_keeps_history(worker, scene):
+    ask(worker, scene)
+    left, right, bottom, top = scene.camera.window
+    camera = replace(scene.camera, window=(left + 0.02, right + 0.02, bottom, top))
+    result = ask(worker, replace(scene, camera=camera), limit=1)
+    assert result.frame.reset == "" and result.frame.history_length.max() > 4
+    motion = result.frame.motion[result.frame.object_id > 0]
+    assert np.allclose(motion[:, 0], 0.02 / (right - left) * 24, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda scene: {"scene": replace(scene, lights=tuple(scene.lights))}, ""),
+        (lambda scene: {"scene": replace(scene, lights=())}, "the lights changed"),
+        (lambda scene: {"scene": replace(scene, defaults=replace(scene.defaults, width=12))}, "the image size changed"),
+        (lambda scene: {"settings": Settings(seed=1)}, "the settings changed"),
+        (lambda scene: {"device": "reference"}, "the device changed"),
+    ],
+)
+def test_changes_restart_with_their_reason(worker, scene, change, reason):
+    ask(worker, scene)
+    result = ask(worker, **{"scene": scene, "limit": 1, **change(scene)})
+    assert result.frame.reset == reason and result.reset == (reason or "first frame") and result.samples == 1
+    assert not result.error
+
+
+def test_without_denoiser_the_mean_is_shown(worker, scene):
+    result = ask(worker, scene, limit=8, settings=Settings(method="none"))
+    mean = result.frame.color
+    result = ask(worker, replace(scene), limit=1, settings=Settings(method="none"))
+    assert np.abs(result.frame.color - mean).max() > 0 and np.isfinite(mean).all()
+    frames = ask(worker, scene, limit=64, settings=Settings(method="none")).frame
+    assert np.abs(frames.color - frames.noisy).mean() > 1e-4
+
+
+def test_still_view_becomes_what_a_final_render_is(worker, scene):
+    """Without denoiser: the mean of many frames of one sample is one frame of many samples."""
+    color = ask(worker, scene, limit=128, settings=Settings(method="none")).frame.color
+    final = module.Renderer(Settings(method="none", samples=128), DEVICE).render(scene).color
+    assert np.abs(color - final).mean() < 0.02 * final.mean()
+    assert color.mean() == pytest.approx(final.mean(), rel=0.005)
+
+
+def test_overlay_paints_the_same_frame_again(worker, scene):
+    first = ask(worker, scene)
+    second = ask(worker, scene, overlay="normal")
+    assert second.frame is first.frame and second.number == first.number + 1
+    assert np.array_equal(second.picture, paint(first.frame, "normal"))
+
+
+def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
+    frame = ask(worker, scene, limit=1).frame
+    color = frame.color.copy()
+    color[0, 0], color[0, 1] = (np.nan, np.inf, 1e9), (-1, 0, -np.inf)
+    for overlay in OVERLAYS:
+        picture = paint(replace(frame, color=color), overlay)
+        assert picture.shape == (14, 24, 4) and picture.dtype == np.float32 and picture.flags.c_contiguous
+        assert np.isfinite(picture.astype(np.float16)).all() and picture.min() >= 0 and (picture[..., 3] == 1).all()
+    picture = paint(replace(frame, color=color), "result")
+    assert picture[-1, 0, :3].tolist() == [0, 65504, 65504], "The bottom row comes first."
+
+
+def test_overlays_of_an_empty_scene(worker, scene):
+    instances = scene.instances
+    empty = replace(instances, **{name: getattr(instances, name)[:0] for name in vars(instances)})
+    frame = ask(worker, replace(scene, meshes=(), instances=empty), limit=1).frame
+    for overlay in OVERLAYS:
+        assert np.isfinite(paint(frame, overlay)).all()
+
+
+def test_error_is_shown_and_the_next_request_goes_on(worker, scene):
+    picture = ask(worker, scene).picture
+    result = ask(worker, replace(scene, defaults=replace(scene.defaults, bounces=-1)))
+    assert "bounces" in result.error and result.picture is picture
+    assert ask(worker, scene).error == ""
+
+
+def test_fault_of_ours_is_shown(worker, scene, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "follow", lambda *_: 1 / 0)
+        assert "ZeroDivisionError" in ask(worker, scene).error
+    assert ask(worker, replace(scene)).error == ""
+
+
+def test_lost_device_gives_way_to_the_cpu(scene):
+    def open_device(name):
+        if name != "cpu":
+            raise DeviceError("The GPU is lost.", "Restart Blender.")
+        return module.open_device(name)
+
+    worker = Worker(open_device)
+    result = ask(worker, scene, device="cuda")
+    assert result.samples == 4 and result.note == "The GPU is lost. Restart Blender. The CPU goes on."
+    worker.close()
+
+
+def test_device_that_is_lost_while_it_renders(worker, scene, monkeypatch):
+    render = module.Renderer.render
+
+    def failing(self, scene, *arguments):
+        if self.device.name == "reference":
+            raise DeviceError("The device failed.", stage="path")
+        return render(self, scene, *arguments)
+
+    monkeypatch.setattr(module.Renderer, "render", failing)
+    result = ask(worker, scene, device="reference")
+    assert result.samples == 4 and result.note == "The device failed. The CPU goes on."
+
+
+def test_cpu_that_fails_is_an_error(scene):
+    worker = Worker(lambda name: (_ for _ in ()).throw(DeviceError("No module.")))
+    assert ask(worker, scene, device="cpu").error == "No module."
+    worker.close()
+
+
+def test_closing_interrupts_the_frame(worker, scene, monkeypatch):
+    stopped, started = threading.Event(), threading.Event()
+
+    def endless(self, scene):
+        started.set()
+        assert stopped.wait(10)
+        raise Interrupted("Stopped.")
+
+    monkeypatch.setattr(module.Renderer, "render", endless)
+    monkeypatch.setattr(module.Renderer, "interrupt", lambda self: stopped.set())
+    worker.submit(Request(scene, Settings(), DEVICE, 4))
+    assert started.wait(10)
+    worker.close()
+    assert not worker.alive and worker.result.error == ""
+
+
+def test_requests_are_not_queued(worker, scene):
+    """A hundred views in the time of a few frames: only the newest one counts."""
+    ask(worker, scene)
+    for step in range(100):
+        window = tuple(side + step * 1e-4 for side in scene.camera.window)
+        last = replace(scene, camera=replace(scene.camera, window=window))
+        worker.submit(Request(last, Settings(), DEVICE, 1))
+    result = ask(worker, last, limit=1)
+    assert result.scene.camera is last.camera and result.error == ""
+
+
+def test_stopped_worker_ends_by_itself(worker, scene):
+    worker.submit(Request(scene, Settings(), DEVICE, 10**6))
+    worker.stop()
+    end = time.monotonic() + 10
+    while worker.alive:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_worker_that_never_started_closes():
+    worker = Worker()
+    worker.close()
+    assert not worker.alive and not worker.busy
+
+
+def test_names_are_checked(scene, worker):
+    with pytest.raises(InputError):
+        Settings(method="magic")
+    assert "no device" in ask(worker, scene, device="magic").error
