@@ -163,9 +163,9 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
 // --- Traversal -------------------------------------------------------------------------------------------------------
 
 // Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
-// becomes the closest one.
-template <bool any_hit>
-SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
+// becomes the closest one. Each step stands here once, and all rays share it: inlined for closest and any hit, with the
+// box test at each of its three uses, it made stage "path" wait for instructions most of the time.
+SVGF_HD SVGF_NOINLINE inline bool traverse(const SceneView& scene, const Ray& ray, bool any_hit, Hit& hit) {
     // A node and those of its children that are still to be visited.
     struct Group {
         std::uint32_t node, slots;
@@ -179,8 +179,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
     BoxRay box_ray(ray.origin, ray.direction);
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
-    Group group{0, intersect_children(load(nodes), box_ray, ray.t_min, t_max)};
+    Group group{0, 0};
+    bool enters = true;  // the node of the group, whose children are not tested yet
     for (;;) {
+        if (enters) {
+            group.slots = intersect_children(load(nodes + group.node), box_ray, ray.t_min, t_max);
+            enters = false;
+        }
         if (group.slots == 0) {
             if (instance >= 0 && stack_size == instance_floor) {
                 instance = -1;
@@ -200,7 +205,8 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
         if (count == 0) {
             const std::uint32_t child = node.first_child + WideNode::offset(slot);
             if (group.slots) stack[stack_size++] = group;
-            group = {child, intersect_children(load(nodes + child), box_ray, ray.t_min, t_max)};
+            group.node = child;
+            enters = true;
             continue;
         }
         const std::uint32_t begin = node.first_primitive + WideNode::offset(slot);
@@ -217,7 +223,8 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
             triangles = mesh.triangles;
             box_ray = BoxRay(origin, direction);
             triangle_ray = TriangleRay(origin, direction);
-            group = {0, intersect_children(load(nodes), box_ray, ray.t_min, t_max)};
+            group.node = 0;
+            enters = true;
             continue;
         }
         for (std::uint32_t i = begin; i < begin + count; ++i) {
@@ -239,13 +246,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
-    traverse<false>(scene, ray, hit);
+    traverse(scene, ray, false, hit);
     return hit;
 }
 
 SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
     Hit unused;
-    return traverse<true>(scene, ray, unused);
+    return traverse(scene, ray, true, unused);
 }
 
 }  // namespace svgf
