@@ -58,19 +58,10 @@ public:
     }
 
     // u: direction within the lobe. lobe: chooses D, S or G in this order; what is left of it reflection or refraction.
+    // Events are chosen first and evaluated in one place, as evaluate() is much code for the instruction cache.
     SVGF_HD BsdfSample sample(Vec2 u, float lobe) const {
-        if (lobe < diffuse_probability_) return finish(sample_cosine_hemisphere(u), above);
-        if constexpr (has_specular) {
-            const float rest = lobe - diffuse_probability_;
-            if (rest < specular_probability_) {
-                if (is_smooth()) return finish_mirror(coat_and_metal(view_.z) / specular_probability_, mirrored());
-                return finish(reflect(view_, sample_visible_normal(view_, alpha_, u)), above);
-            }
-            if constexpr (has_transmission)
-                if (glass_probability_ > 0.0f)
-                    return sample_glass(u, (rest - specular_probability_) / glass_probability_);
-        }
-        return {};
+        const Event event = choose_event(u, lobe);
+        return event.is_mirror ? finish_mirror(event) : finish(event);
     }
 
 private:
@@ -191,28 +182,48 @@ private:
         value.pdf = glass_probability_ * spread * 2.0f / (1.0f + view_masking);
     }
 
-    SVGF_HD BsdfSample sample_glass(Vec2 u, float choice) const {
-        const bool smooth = is_glass_smooth();
-        const Vec3 half = smooth ? Vec3{0, 0, 1} : sample_visible_normal(view_, alpha_, u);
-        const bool reflects = choice < fresnel_dielectric(dot(view_, half), glass_eta_);
-        if (reflects && !smooth) return finish(reflect(view_, half), above);
-        // What the chosen one carries is divided by the chance of choosing it, which is the same reflectance.
-        const float weight = glass_ / glass_probability_;
-        if (reflects) return finish_mirror(Vec3{weight, weight, weight}, mirrored());
-        const Vec3 light = glass_eta_ == 1.0f ? -view_ : refract(view_, half, glass_eta_);
-        return smooth ? finish_mirror(root(base_) * weight, light) : finish(light, below);
-    }
-
-    // Which side of the surface the chosen event leads to.
+    // Which side of the surface an event leads to.
     static constexpr float above = 1.0f, below = -1.0f;
+
+    struct Event {
+        Vec3 light;          // local
+        float side = 0;      // above or below; 0: no event, the path ends
+        bool is_mirror = false;
+        Vec3 mirror_weight{};  // of a mirror, over the probability of choosing it
+    };
+
+    SVGF_HD Event choose_event(Vec2 u, float lobe) const {
+        if (lobe < diffuse_probability_) return {sample_cosine_hemisphere(u), above};
+        if constexpr (has_specular) {
+            const float rest = lobe - diffuse_probability_;
+            const bool is_specular = rest < specular_probability_;
+            if (!is_specular && !(has_transmission && glass_probability_ > 0.0f)) return {};
+            const bool smooth = is_specular ? is_smooth() : is_glass_smooth();
+            const Vec3 half = smooth ? Vec3{0, 0, 1} : sample_visible_normal(view_, alpha_, u);
+            if (is_specular) {
+                if (smooth) return {mirrored(), above, true, coat_and_metal(view_.z) / specular_probability_};
+                return {reflect(view_, half), above};
+            }
+            if constexpr (has_transmission) {
+                const float choice = (rest - specular_probability_) / glass_probability_;
+                // What the chosen one carries is divided by the chance of choosing it, which is the same reflectance.
+                const float weight = glass_ / glass_probability_;
+                if (choice < fresnel_dielectric(dot(view_, half), glass_eta_))
+                    return {smooth ? mirrored() : reflect(view_, half), above, smooth, {weight, weight, weight}};
+                const Vec3 light = glass_eta_ == 1.0f ? -view_ : refract(view_, half, glass_eta_);
+                return {light, below, smooth, root(base_) * weight};
+            }
+        }
+        return {};
+    }
 
     // A microfacet may send light to the wrong side. That light is lost: evaluated there, it would pass for what the
     // other event sends.
-    SVGF_HD BsdfSample finish(Vec3 local, float wanted_side) const {
+    SVGF_HD BsdfSample finish(const Event& event) const {
         BsdfSample result;
-        if (!(local.z * wanted_side > 0.0f)) return result;
-        result.direction = normalize(frame_.to_world(local));
-        result.weight = evaluate_local(local, dot(geometric_normal, result.direction));
+        if (!(event.light.z * event.side > 0.0f)) return result;
+        result.direction = normalize(frame_.to_world(event.light));
+        result.weight = evaluate_local(event.light, dot(geometric_normal, result.direction));
         if (result.weight.pdf > 0.0f) {
             result.weight.diffuse = result.weight.diffuse / result.weight.pdf;
             result.weight.specular = result.weight.specular / result.weight.pdf;
@@ -222,12 +233,12 @@ private:
         return result;
     }
 
-    SVGF_HD BsdfSample finish_mirror(Vec3 weight, Vec3 local) const {
+    SVGF_HD BsdfSample finish_mirror(const Event& event) const {
         BsdfSample result;
-        result.direction = normalize(frame_.to_world(local));
+        result.direction = normalize(frame_.to_world(event.light));
         result.delta = true;
         const float side = dot(geometric_normal, result.direction);
-        if ((local.z > 0.0f && side > 0.0f) || (local.z < 0.0f && side < 0.0f)) result.weight.specular = weight;
+        if (event.light.z * event.side > 0.0f && side * event.side > 0.0f) result.weight.specular = event.mirror_weight;
         return result;
     }
 
