@@ -43,7 +43,7 @@ def test_device_that_is_not_available():
         open_device("cuda")
 
 
-def test_auto_takes_the_fastest(device):
+def test_auto_takes_the_fastest():
     best = next(info.name for info in available_devices() if info.available)
     assert open_device("auto").name == best
 
