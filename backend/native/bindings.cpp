@@ -433,6 +433,9 @@ NB_MODULE(SVGF_MODULE, module) {
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
         }, "materials"_a, "material_maps"_a, "textures"_a)
+        .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
+            tracer.set_albedo_tables(span_of(tables));
+        }, "tables"_a)
         .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
              "triangle_light_scale"_a, "world_radiance"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,

@@ -12,7 +12,7 @@ from .gbuffer import trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import PIXEL_PAIR, pixel_keys, random_pair
+from .sampling import PIXEL_PAIR, pixel_keys, random_pair, surface_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -55,6 +55,9 @@ class Tracer:
         self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 48)
         self._material_maps = np.asarray(material_maps, dtype=np.float64).reshape(-1, 12)
         self._textures = list(textures)
+
+    def set_albedo_tables(self, tables) -> None:
+        """They are those of svgf.albedo in any case."""
 
     def set_lights(
         self, light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
@@ -101,7 +104,8 @@ class Tracer:
                 direction = camera.direction(point)
                 hits = self._primary_hits(camera, direction, clip)
                 if not images:
-                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits)
+                    choice = random_pair(keys, surface_pair(0), number)[:, 0]
+                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits, choice)
             with self._device.stage("path"):
                 trace_paths(scene, radiance, keys, number, bounces, direction, hits)
         images.update({name: image / samples for name, image in radiance.images.items()})
