@@ -23,7 +23,8 @@ class Tracer:
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
         self._shapes = Shapes([], *(np.zeros(0) for _ in range(7)))
-        self._materials = np.zeros((0, 16))
+        self._materials = np.zeros((0, 48))
+        self._material_maps = np.zeros((0, 12))
         self._textures: list[Texture] = []
         self._lights = Lights([], [], [], [0.0], 0.0, np.zeros(3))
         self._camera_rows: tuple[np.ndarray, ...] = ()
@@ -50,8 +51,9 @@ class Tracer:
             material_table,
         )
 
-    def set_materials(self, materials, textures: list[Texture]) -> None:
-        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 16)
+    def set_materials(self, materials, material_maps, textures: list[Texture]) -> None:
+        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 48)
+        self._material_maps = np.asarray(material_maps, dtype=np.float64).reshape(-1, 12)
         self._textures = list(textures)
 
     def set_lights(
@@ -87,7 +89,7 @@ class Tracer:
         camera_to_world, previous_camera_to_world, window, previous_window, clip = self._camera_rows
         camera = Camera(camera_to_world, window, width, height)
         previous_camera = Camera(previous_camera_to_world, previous_window, width, height)
-        scene = SceneView(self._shapes, self._materials, self._textures, self._lights)
+        scene = SceneView(self._shapes, self._materials, self._material_maps, self._textures, self._lights)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
         radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR))
