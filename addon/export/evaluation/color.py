@@ -178,8 +178,8 @@ def brightness_contrast(color: np.ndarray, brightness: np.ndarray, contrast: np.
 
 
 def separate(color: np.ndarray, *, mode: str) -> np.ndarray:
-    """[n, 3] in the colour model of the mode: RGB, HSV or HSL."""
-    return {"RGB": lambda c: c, "HSV": rgb_to_hsv, "HSL": rgb_to_hsl}[mode](color)
+    """[n, 3] in the colour model of the mode: HSV or HSL."""
+    return {"HSV": rgb_to_hsv, "HSL": rgb_to_hsl}[mode](color)
 
 
 def combine(first: np.ndarray, second: np.ndarray, third: np.ndarray, *, mode: str) -> np.ndarray:
