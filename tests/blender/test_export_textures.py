@@ -428,3 +428,22 @@ def test_displacement_as_bumps():
     assert np.allclose(normals, np.array([0, -1, 1]) / np.sqrt(2), atol=2e-3) and not scene.warnings
     material.displacement_method = "DISPLACEMENT"
     assert "it bends the normals alone" in only_warning(export())
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.6])
+def test_bumps_as_cycles_bends_normals(strength):
+    """Baked by Cycles to a tangent-space normal map of the same plane."""
+    bench = NodeBench()
+    bump, gradient = bench.add("ShaderNodeBump"), bench.add("ShaderNodeTexGradient", gradient_type="QUADRATIC")
+    diffuse = bench.add("ShaderNodeBsdfDiffuse")
+    bump.inputs["Strength"].default_value, bump.inputs["Distance"].default_value = strength, 0.7
+    bench.link(bench.uv, gradient.inputs[0])
+    bench.link(gradient.outputs["Fac"], bump.inputs["Height"])
+    bench.link(bump.outputs[0], diffuse.inputs["Normal"])
+    expected = bench.cycles_normals(diffuse.outputs[0])
+    scene = export()
+    normal_map = scene.textures[scene.materials[0].maps["normal"].texture].pixels[..., :3] * 2 - 1
+    side = len(normal_map)
+    x, y = (np.clip(bench.points[:, :2].T * side, 0, side - 1)).astype(int)
+    # Cycles bakes slopes over a tenth of a texel of a small picture, in single precision.
+    assert np.abs(normal_map[y, x] - expected).max() < 0.01
