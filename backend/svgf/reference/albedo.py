@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of svgf.albedo: their derivation, and lookups.
 
-``python -m svgf.reference.albedo`` computes them by quadrature over visible normals, in minutes of which most go to the
+``python -m svgf.reference.albedo`` computes all but "sheen" by quadrature over visible normals, in minutes of which most go to the
 glass, and writes ``svgf/albedo_tables.npy``.
 """
 
@@ -135,7 +135,9 @@ def compute() -> np.ndarray:
     }
     result = {}
     for name, (depth, rows, columns) in SHAPES.items():
-        if name in at:
+        if name == "sheen":
+            result[name] = tables()[name]
+        elif name in at:
             result[name] = np.array(
                 [
                     [[at[name](i / (columns - 1), j / (rows - 1), k) for i in range(columns)] for j in range(rows)]
