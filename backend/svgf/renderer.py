@@ -44,17 +44,24 @@ class SceneUploader:
                 flat.object_id,
                 flat.material_start,
                 flat.material_table,
+                flat.visibility,
+                flat.emitter,
             )
         if textures is not None or self._changed(flat, ("materials",)):
             self._tracer.set_materials(
                 np.asarray(flat.materials, self._dtype), [self._textures[id(texture)][1] for texture in flat.textures]
             )
         if self._changed(flat, LIGHT_FIELDS):
-            self._tracer.set_lights(
-                flat.light_kind,
-                *(np.asarray(getattr(flat, name), self._dtype) for name in LIGHT_FIELDS[1:4]),
-                float(flat.triangle_light_scale),
-                np.asarray(flat.world_radiance, self._dtype),
+            self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})
+        if self._changed(flat, WORLD_FIELDS):
+            self._tracer.set_world(
+                self._rounded(flat.world_radiance),
+                flat.world_visibility,
+                flat.environment,
+                flat.environment_light,
+                self._rounded(flat.world_to_environment),
+                flat.row_cdf,
+                flat.column_cdf,
             )
         self._tracer.set_camera(*(np.asarray(getattr(flat, name), self._dtype) for name in CAMERA_FIELDS))
         self.last = flat
@@ -62,6 +69,10 @@ class SceneUploader:
     @property
     def _dtype(self) -> type:
         return np.float64 if self._device.name == "reference" else np.float32
+
+    def _rounded(self, array: np.ndarray) -> np.ndarray:
+        """What is float64 as the device holds it."""
+        return np.asarray(array, self._dtype) if array.dtype == np.float64 else array
 
     def _changed(self, flat: FlatScene, names: tuple[str, ...]) -> bool:
         last = self.last
@@ -89,9 +100,20 @@ class SceneUploader:
 
 
 TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
-INSTANCE_FIELDS = ("instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table")
-LIGHT_FIELDS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale", "world_radiance")
-CAMERA_FIELDS = ("camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip")
+INSTANCE_FIELDS = (
+    "instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table", "visibility", "emitter",
+)  # fmt: skip
+LIGHT_FIELDS = (
+    "light_kind", "light_data", "light_visibility", "light_probability", "light_cdf", "light_tree", "light_of_leaf",
+    "emitters", "light_of_triangle", "emission_map", "emission_maps",
+)  # fmt: skip
+WORLD_FIELDS = (
+    "world_radiance", "world_visibility", "environment", "environment_light", "world_to_environment", "row_cdf",
+    "column_cdf",
+)  # fmt: skip
+CAMERA_FIELDS = (
+    "camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip", "lens", "previous_lens",
+)  # fmt: skip
 
 
 def _same(a: Any, b: Any) -> bool:
