@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from .devices import Device, open_device
+from .effects import Effects
 from .errors import InputError
 from .flatten import FlatScene, flatten
 from .frame import Frame
@@ -207,7 +209,12 @@ class Renderer:
         progress: Callable[[float], None] | None,
     ) -> dict[str, Any]:
         """The images of the tracer; the signals are means over all samples of the frame."""
-        settings = self.settings
+        settings, defaults = self.settings, flat.scene.defaults
+        light_paths = settings.light_paths(defaults.light_paths)
+        effects = flat.effects & ~Effects.LIGHT_PATH_LIMITS
+        if light_paths.changes(bounces):
+            effects |= Effects.LIGHT_PATH_LIMITS
+        film = defaults.transparent_film if settings.transparent_film is None else settings.transparent_film
         first = (frame * settings.samples) & 0xFFFFFFFF  # the same noise for a frame, wherever the animation starts
         images: dict[str, Any] = {}
         sums: dict[str, np.ndarray] = {}
@@ -221,13 +228,15 @@ class Renderer:
                 samples=count,
                 seed=settings.seed,
                 bounces=bounces,
-                effects=int(flat.effects),
+                effects=int(effects),
                 pixel_filter=settings.resolved_pixel_filter,
                 signals=settings.signals,
+                light_paths=astuple(light_paths),
+                transparent_film=film,
             )
             images = images or traced
             if settings.samples > SAMPLES_PER_LAUNCH:
-                for name in RADIANCE_IMAGES & traced.keys():
+                for name in MEAN_IMAGES & traced.keys():
                     # float64: a sum of many thousand samples keeps every one of them.
                     part = self.device.to_numpy(traced[name]).astype(np.float64) * (count / settings.samples)
                     sums[name] = sums[name] + part if name in sums else part
@@ -270,6 +279,7 @@ class Renderer:
             motion=host(images["motion"]),
             roughness=host(images["roughness"]),
             object_id=host(images["object_id"]),
+            alpha=host(images["alpha"]) if "alpha" in images else None,
             variance=host(denoised["variance"]) * np.float32(exposure**2),
             history_length=host(denoised["history_length"]),
             timings=timings,
@@ -278,3 +288,5 @@ class Renderer:
 
 
 RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
+# Images that are means over all samples of a frame; the others are of its first sample.
+MEAN_IMAGES = RADIANCE_IMAGES | {"alpha"}

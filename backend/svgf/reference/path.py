@@ -11,7 +11,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..scene import LightPaths, RayVisibility
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .bsdf import Bsdf, evaluate, sample
 from .intersect import SHADOW_END, Hits, offset_origin
 from .sampling import direction_pair, light_choice_pair, light_point_pair, lobe_pair, power_heuristic, random_pair

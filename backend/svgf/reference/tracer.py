@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects import Effects
-from ..scene import LightPaths, RayVisibility
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .camera import Camera, pixel_centers
 from .device import Device
 from .environment import World
