@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
-from svgf.scene import Material, Texture
+from svgf.scene import Material, Texture, TextureMap
 
 from .findings import Findings
 from .nodes import constant, describe, has_nodes, source
@@ -59,7 +59,9 @@ class MaterialTable:
             else:
                 surface = _Reader(material, self._cache, self._findings).surface()
             self._indices[key] = len(self.materials)
-            self.materials.append(replace(surface.material, base_color_texture=self._texture_index(surface.texture)))
+            texture = self._texture_index(surface.texture)
+            maps = {} if texture < 0 else {"base_color": TextureMap(texture)}
+            self.materials.append(replace(surface.material, maps=maps))
         return self._indices[key]
 
     def _texture_index(self, texture: Texture | None) -> int:
