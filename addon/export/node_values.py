@@ -110,8 +110,10 @@ class _Node:
         """Those that this version of Blender lacks are 0."""
         return [constant(0.0) if self.place.input(name) is None else self.input(name) for name in names]
 
-    def vector(self) -> Expression:
-        """Texture coordinates, through the node's own mapping."""
+    def vector(self, dimensions: int = 3) -> Expression:
+        """Texture coordinates, through the node's own mapping; in one dimension W is asked for instead."""
+        if dimensions == 1:
+            return constant((0.0,) * 3)
         return _mapped(self.rna, self.reader.coordinates(self.place.input("Vector")))
 
 
@@ -224,14 +226,13 @@ def _environment(node: _Node) -> Expression | None:
 
 def _noise(node: _Node) -> Expression:
     rna = node.rna
-    numbers = node.numbers(
-        "W", "Scale", "Detail", "Roughness", "Lacunarity", "Offset", "Gain", "Distortion"
-    )
+    dimensions = int(rna.noise_dimensions[0])
+    numbers = node.numbers("W", "Scale", "Detail", "Roughness", "Lacunarity", "Offset", "Gain", "Distortion")
     return apply(
         noise.noise_texture,
-        node.vector(),
+        node.vector(dimensions),
         *numbers,
-        dimensions=int(rna.noise_dimensions[0]),
+        dimensions=dimensions,
         kind=rna.noise_type,
         normalize=rna.normalize,
         color=node.output == "Color",
@@ -240,14 +241,13 @@ def _noise(node: _Node) -> Expression:
 
 def _voronoi(node: _Node) -> Expression:
     rna = node.rna
-    numbers = node.numbers(
-        "W", "Scale", "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness"
-    )
+    dimensions = int(rna.voronoi_dimensions[0])
+    numbers = node.numbers("W", "Scale", "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness")
     return apply(
         voronoi.voronoi_texture,
-        node.vector(),
+        node.vector(dimensions),
         *numbers,
-        dimensions=int(rna.voronoi_dimensions[0]),
+        dimensions=dimensions,
         feature=rna.feature,
         metric=rna.distance,
         normalize=rna.normalize,
@@ -344,7 +344,8 @@ def _mix_rgb(node: _Node) -> Expression:
 
 
 def _separate_color(node: _Node) -> Expression:
-    parts = apply(color.separate, node.input(0), mode=node.rna.mode)
+    value = node.input(0)
+    parts = value if node.rna.mode == "RGB" else apply(color.separate, value, mode=node.rna.mode)
     return apply(component, parts, index=("Red", "Green", "Blue").index(node.output))
 
 

@@ -13,11 +13,11 @@ from svgf.scene import Extension, Interpolation, Texture
 from .evaluation.color import srgb_to_linear
 from .evaluation.images import Image
 
-_EXTENSIONS = {
-    "REPEAT": Extension.REPEAT,
-    "EXTEND": Extension.EXTEND,
-    "CLIP": Extension.CLIP,
-    "MIRROR": Extension.MIRROR,
+_INTERPOLATIONS = {
+    "Closest": Interpolation.CLOSEST,
+    "Linear": Interpolation.LINEAR,
+    "Cubic": Interpolation.CUBIC,
+    "Smart": Interpolation.CUBIC,
 }
 # Larger images are halved: beyond it a texture would be gigabytes.
 LARGEST_SIDE = 16384
@@ -106,11 +106,11 @@ class TextureCache:
         # Cycles gives the colour times alpha, unless the node's Alpha is in use or alpha means something else.
         has_alpha = source.alpha_mode in {"STRAIGHT", "PREMUL"} and not source.colorspace_settings.is_data
         alpha = node.outputs.get("Alpha")
-        times_alpha = has_alpha and not (alpha is not None and alpha.is_linked)
+        divides = has_alpha and alpha is not None and alpha.is_linked
         extension = getattr(node, "extension", "REPEAT")
-        key = (*_identity(source), has_alpha, times_alpha, node.interpolation, extension)
+        key = (*_identity(source), has_alpha, divides, node.interpolation, extension)
         if key not in self._images:
-            self._images[key] = _read(source, has_alpha, times_alpha, node.interpolation, extension)
+            self._images[key] = _read(source, has_alpha, divides, node.interpolation, extension)
         image = self._images[key]
         if image is None:
             find_image(source, "the image cannot be read; magenta is used instead, as Blender does.")
@@ -119,17 +119,23 @@ class TextureCache:
         return image
 
     def texture(self, image: Image) -> Texture:
-        """Of an image that is not interpolated by cubics."""
+        """The texture that holds an image."""
         texture = self._textures.get(image)
         if texture is None:
-            interpolation = Interpolation.CLOSEST if image.interpolation == "Closest" else Interpolation.LINEAR
-            texture = Texture(image.name, image.pixels, image.srgb, interpolation, _EXTENSIONS[image.extension])
+            texture = Texture(
+                image.name,
+                image.pixels,
+                image.srgb,
+                _INTERPOLATIONS[image.interpolation],
+                Extension[image.extension],
+                image.associated_alpha,
+            )
             self._textures[image] = texture
         return texture
 
 
 def _read(
-    source: bpy.types.Image, has_alpha: bool, times_alpha: bool, interpolation: str, extension: str
+    source: bpy.types.Image, has_alpha: bool, divides: bool, interpolation: str, extension: str
 ) -> Image | None:
     pixels = read_pixels(source)
     if pixels is None:
@@ -137,14 +143,17 @@ def _read(
     factor = _reduction(source)
     if factor > 1:
         pixels = _reduced(pixels, factor)
-    pixels = _with_alpha(pixels, has_alpha, times_alpha)
+    if pixels.dtype != np.uint8:
+        np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    elif has_alpha:
+        _multiply_alpha(pixels)
     if source.alpha_mode == "NONE":
         pixels[..., 3] = 255 if pixels.dtype == np.uint8 else 1
     conversion = None if source.is_float else _COLOR_SPACES.get(source.colorspace_settings.name)
     if conversion is not None:
         pixels = _converted(pixels, *conversion)
     srgb = pixels.dtype == np.uint8 and not _is_data(source)
-    return Image(source.name, pixels, srgb, interpolation, extension)
+    return Image(source.name, pixels, srgb, interpolation, extension, divides)
 
 
 def _identity(image: bpy.types.Image) -> tuple:
@@ -172,19 +181,11 @@ def _mean_radiance(image: bpy.types.Image) -> np.ndarray | None:
     return np.average(rows, axis=0, weights=weights)
 
 
-def _with_alpha(pixels: np.ndarray, has_alpha: bool, times_alpha: bool) -> np.ndarray:
-    """Colour times alpha, or without it. Blender keeps bytes straight and floats multiplied."""
-    if pixels.dtype == np.uint8:
-        alpha = pixels[..., 3:]
-        if times_alpha and alpha.min() < 255:
-            # In the image's encoding, as Cycles does it.
-            pixels[..., :3] = (pixels[..., :3] * alpha.astype(np.uint16) + 127) // 255
-        return pixels
-    np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    if has_alpha and not times_alpha:
-        alpha = pixels[..., 3:]
-        pixels[..., :3] /= np.where(alpha > 0, alpha, np.float32(1))
-    return pixels
+def _multiply_alpha(pixels: np.ndarray) -> None:
+    """Bytes by their alpha, in the image's encoding as Cycles does it. Blender keeps bytes without it, floats with."""
+    alpha = pixels[..., 3:]
+    if alpha.min() < 255:
+        pixels[..., :3] = (pixels[..., :3] * alpha.astype(np.uint16) + 127) // 255
 
 
 def _reduction(image: bpy.types.Image) -> int:

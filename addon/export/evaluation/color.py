@@ -178,8 +178,8 @@ def brightness_contrast(color: np.ndarray, brightness: np.ndarray, contrast: np.
 
 
 def separate(color: np.ndarray, *, mode: str) -> np.ndarray:
-    """[n, 3] in the colour model of the mode: RGB, HSV or HSL."""
-    return {"RGB": lambda c: c, "HSV": rgb_to_hsv, "HSL": rgb_to_hsl}[mode](color)
+    """[n, 3] in the colour model of the mode: HSV or HSL."""
+    return {"HSV": rgb_to_hsv, "HSL": rgb_to_hsl}[mode](color)
 
 
 def combine(first: np.ndarray, second: np.ndarray, third: np.ndarray, *, mode: str) -> np.ndarray:
@@ -218,18 +218,25 @@ def curves(
     return value + share * (curve - value)
 
 
-def _lobe(wavelength: np.ndarray, center: float, below: float, above: float) -> np.ndarray:
-    width = np.where(wavelength < center, below, above)
-    return np.exp(-0.5 * ((wavelength - center) / width) ** 2)
+# CIE 1931 colour matching functions, X Y Z from 380 to 780 nm in steps of 10 nm [CIE15].
+_MATCHING = np.array(
+    """
+    .0014 .0000 .0065  .0042 .0001 .0201  .0143 .0004 .0679  .0435 .0012 .2074  .1344 .0040 .6456  .2839 .0116 1.3856
+    .3483 .0230 1.7471 .3362 .0380 1.7721 .2908 .0600 1.6692 .1954 .0910 1.2876 .0956 .1390 .8130  .0320 .2080 .4652
+    .0049 .3230 .2720  .0093 .5030 .1582  .0633 .7100 .0782  .1655 .8620 .0422  .2904 .9540 .0203  .4334 .9950 .0087
+    .5945 .9950 .0039  .7621 .9520 .0021  .9163 .8700 .0017 1.0263 .7570 .0011 1.0622 .6310 .0008 1.0026 .5030 .0003
+    .8544 .3810 .0002  .6424 .2650 .0000  .4479 .1750 .0000  .2835 .1070 .0000  .1649 .0610 .0000  .0874 .0320 .0000
+    .0468 .0170 .0000  .0227 .0082 .0000  .0114 .0041 .0000  .0058 .0021 .0000  .0029 .0010 .0000  .0014 .0005 .0000
+    .0007 .0002 .0000  .0003 .0001 .0000  .0002 .0001 .0000  .0001 .0000 .0000  .0000 .0000 .0000
+    """.split(),
+    np.float64,
+).reshape(-1, 3)
 
 
 def _color_matching(wavelength: np.ndarray) -> np.ndarray:
-    """[n, 3] CIE 1931 XYZ of wavelengths in nm [Wyman13, Eq. 4]."""
-    w = np.asarray(wavelength, np.float64)
-    x = 1.056 * _lobe(w, 599.8, 37.9, 31.0) + 0.362 * _lobe(w, 442.0, 16.0, 26.7) - 0.065 * _lobe(w, 501.1, 20.4, 26.2)
-    y = 0.821 * _lobe(w, 568.8, 46.9, 40.5) + 0.286 * _lobe(w, 530.9, 16.3, 31.1)
-    z = 1.217 * _lobe(w, 437.0, 11.8, 36.0) + 0.681 * _lobe(w, 459.0, 26.0, 13.8)
-    return np.stack([x, y, z], -1)
+    """[n, 3] of wavelengths in nm."""
+    nanometres = 380 + 10 * np.arange(len(_MATCHING))
+    return np.stack([np.interp(wavelength, nanometres, column) for column in _MATCHING.T], -1)
 
 
 def wavelength(value: np.ndarray) -> np.ndarray:
@@ -241,7 +248,7 @@ def wavelength(value: np.ndarray) -> np.ndarray:
 def blackbody(temperature: np.ndarray) -> np.ndarray:
     """Planck's spectrum at luminance 1; Blender's range is 800 to 12000 K."""
     kelvin = np.clip(np.asarray(temperature, np.float64), 800, 12000)[:, None]
-    nanometres = np.arange(360, 831, 5.0)
+    nanometres = np.arange(380, 781, 5.0)
     radiance = nanometres**-5 / np.expm1(1.438777e7 / (nanometres * kelvin))
     xyz = radiance @ _color_matching(nanometres)
     rgb = (xyz / xyz[:, 1:2]) @ _XYZ_TO_RGB.T

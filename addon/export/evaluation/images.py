@@ -16,6 +16,7 @@ from .color import srgb_to_linear
 class Image:
     """pixels: uint8 or float32 [H, W, 4], row 0 at the bottom. srgb: of bytes.
 
+    associated_alpha: colours are stored times alpha, in the pixels' encoding, and divided by it when they are read.
     interpolation: Linear, Closest, Cubic or Smart. extension: REPEAT, EXTEND, CLIP or MIRROR.
     """
 
@@ -24,11 +25,13 @@ class Image:
     srgb: bool
     interpolation: str
     extension: str
+    associated_alpha: bool = False
 
     @cached_property
     def digest(self) -> bytes:
         """Of the content, whatever its name."""
-        how = (self.pixels.shape, self.pixels.dtype.str, self.srgb, self.interpolation, self.extension)
+        how = (self.pixels.shape, self.pixels.dtype.str, self.srgb, self.interpolation, self.extension,
+               self.associated_alpha)
         state = hashlib.sha1(repr(how).encode(), usedforsecurity=False)
         state.update(np.ascontiguousarray(self.pixels))
         return state.digest()
@@ -42,7 +45,11 @@ class Image:
 
 def sample_color(vector: np.ndarray, *, image: Image) -> np.ndarray:
     """[n, 3] linear colour."""
-    color = _sample(vector, image)[:, :3]
+    texels = _sample(vector, image)
+    color = texels[:, :3]
+    if image.associated_alpha:
+        alpha = texels[:, 3:]
+        color = color / np.where(alpha > 0, alpha, np.float32(1))
     return srgb_to_linear(color) if image.srgb else color
 
 
