@@ -149,6 +149,8 @@ def value(material: Material, view: np.ndarray, light: np.ndarray) -> np.ndarray
 
 @pytest.mark.parametrize("material", [WHITE, METAL, ROUGH_METAL, ROUGH_GLASS], ids=lambda m: f"{m.name}_{m.roughness}")
 def test_reflection_is_reciprocal(material):
+    """But for multiple scattering, which by Cycles' rules is a factor that depends on the view alone."""
+    material = dataclasses.replace(material, multiscatter=False)
     view, light = above(1000, 4), above(1000, 5)
     np.testing.assert_allclose(value(material, view, light), value(material, light, view), rtol=1e-9)
 
@@ -156,8 +158,9 @@ def test_reflection_is_reciprocal(material):
 def test_refraction_is_reciprocal_but_for_the_solid_angle():
     """f(V, L) / eta_L^2 = f(L, V) / eta_V^2 [Walter07, Section 5.3]."""
     view, light = above(1000, 6), -above(1000, 7)
-    forth = value(ROUGH_GLASS, view, light) / ROUGH_GLASS.ior**2
-    back = value(ROUGH_GLASS, light, view)
+    glass = dataclasses.replace(ROUGH_GLASS, multiscatter=False)
+    forth = value(glass, view, light) / glass.ior**2
+    back = value(glass, light, view)
     assert (forth > 0).any()
     np.testing.assert_allclose(forth, back, rtol=1e-7, atol=1e-12)
 

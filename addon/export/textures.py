@@ -162,7 +162,7 @@ def _multiply_alpha(pixels: np.ndarray) -> None:
     """Bytes by their alpha, in the image's encoding as Cycles does it. Blender keeps bytes without it, floats with."""
     alpha = pixels[..., 3:]
     if alpha.min() < 255:
-        pixels[..., :3] = (pixels[..., :3] * alpha.astype(np.uint16) + 127) // 255
+        pixels[..., :3] = pixels[..., :3] * alpha.astype(np.uint16) // 255
 
 
 def _reduction(image: bpy.types.Image) -> int:

@@ -465,6 +465,9 @@ NB_MODULE(SVGF_MODULE, module) {
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
         }, "materials"_a, "material_maps"_a, "textures"_a)
+        .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
+            tracer.set_albedo_tables(span_of(tables));
+        }, "tables"_a)
         .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
              "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
              "emission_maps"_a)
