@@ -121,10 +121,11 @@ def _passes(view_layer: bpy.types.ViewLayer) -> Iterator[tuple[str, str, str]]:
 def _images(frame: Frame) -> dict[str, np.ndarray]:
     """Blender's passes, row 0 on top."""
     motion = frame.motion
+    opaque = np.ones((frame.height, frame.width), np.float32)
     # Blender's y axis points up. The way to the next frame, ZW, is not known while rendering.
     vector = np.dstack([motion[..., 0], -motion[..., 1], np.zeros((frame.height, frame.width, 2), np.float32)])
     return {
-        "Combined": np.dstack([frame.color, np.ones((frame.height, frame.width), np.float32)]),
+        "Combined": np.dstack([frame.color, opaque if frame.alpha is None else frame.alpha]),
         "Depth": frame.depth,
         "Normal": frame.normal,
         "Vector": vector,

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import bpy
 import numpy as np
 from svgf.errors import InputError
+from svgf.light_paths import LightPaths
 from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
 
 from .camera import export_camera, render_size
@@ -37,6 +38,7 @@ class _Snapshot:
     meshes: tuple[Mesh, ...]
     instance_mesh: np.ndarray
     material_start: np.ndarray
+    visibility: np.ndarray
     material_table: np.ndarray
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
@@ -158,7 +160,12 @@ class Exporter:
         self._meshes.start_frame(changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
-        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        world = getattr(view_layer, "world_override", None) or scene.world
+        world, sky = export_world(world, self._textures, findings)
+        textures = list(materials.textures)
+        if sky is not None:
+            world = replace(world, environment=len(textures))
+            textures.append(sky)
         self._last = _Snapshot(
             frame=scene.frame_current,
             camera_name=camera_name,
@@ -168,9 +175,10 @@ class Exporter:
             meshes=_keep_all(placements.meshes, last and last.meshes),
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
+            visibility=np.array(placements.visibility, np.uint8),
             material_table=np.array(placements.material_table, np.int32),
             materials=_keep_all(materials.materials, last and last.materials),
-            textures=_keep_all(materials.textures, last and last.textures),
+            textures=_keep_all(textures, last and last.textures),
             lights=_keep_all(placements.lights, last and last.lights),
             world=_keep(world, last and last.world),
             defaults=render_defaults(scene, size),
@@ -197,6 +205,7 @@ class Exporter:
             object_id=object_ids(now.keys),
             material_start=now.material_start,
             material_table=now.material_table,
+            visibility=now.visibility,
         )
         self._instances = _keep(instances, self._instances)
         return Scene(
@@ -263,6 +272,23 @@ def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefa
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
+        light_paths=LightPaths() if cycles is None else _light_paths(cycles),
+        transparent_film=render.film_transparent,
+    )
+
+
+def _light_paths(cycles: bpy.types.PropertyGroup) -> LightPaths:
+    """Cycles' own settings of a scene."""
+    return LightPaths(
+        diffuse_bounces=cycles.diffuse_bounces,
+        glossy_bounces=cycles.glossy_bounces,
+        transmission_bounces=cycles.transmission_bounces,
+        transparent_bounces=cycles.transparent_max_bounces,
+        reflective_caustics=cycles.caustics_reflective,
+        refractive_caustics=cycles.caustics_refractive,
+        clamp_direct=cycles.sample_clamp_direct,
+        clamp_indirect=cycles.sample_clamp_indirect,
+        filter_glossy=cycles.blur_glossy,
     )
 
 
@@ -272,8 +298,6 @@ def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:
         findings.add(scene, "motion blur is not supported yet; frames are sharp.")
     if render.use_border:
         findings.add(scene, "the render region is not supported yet; the whole frame is rendered.")
-    if render.film_transparent:
-        findings.add(scene, "a transparent film is not supported yet; the world is seen behind the scene.")
     if render.use_freestyle:
         findings.add(scene, "Freestyle is not supported; no lines are drawn.")
 

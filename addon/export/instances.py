@@ -9,13 +9,14 @@ from zlib import crc32
 
 import bpy
 import numpy as np
-from svgf.scene import Light, Mesh
+from svgf.scene import Light, Mesh, RayVisibility
 
 from .findings import Findings, find_light_linking
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .uv_maps import UvUse
+from .visibility import ray_visibility
 
 # Names a placement in every frame: the object, and for an instance also its parent and its number there.
 Key = tuple[str, str, bytes]
@@ -23,7 +24,6 @@ Key = tuple[str, str, bytes]
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
 
-_RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
     "POINTCLOUD": "point clouds are",
@@ -43,6 +43,7 @@ class Placements:
     keys: list[Key] = field(default_factory=list)
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
+    visibility: list[int] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
@@ -132,9 +133,11 @@ class _Collector:
                     self._placements.lights.append(light)
             else:
                 key: Key = (owner.name_full, "", b"")
+                visibility = ray_visibility(owner)
                 if instance.is_instance:
                     key = (owner.name_full, instance.parent.name_full, id_bytes[32 * row : 32 * row + 32])
-                self._add_mesh(owner, row, key)
+                    visibility &= ray_visibility(instance.parent)
+                self._add_mesh(owner, row, key, visibility)
         self._placements.matrices = matrices[self._rows, :3]
         return self._placements
 
@@ -142,7 +145,9 @@ class _Collector:
         """An instance is where its instancer is."""
         return (instance.parent if instance.is_instance else instance.object).visible_in_viewport_get(self._space)
 
-    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key) -> None:
+    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key, visibility: RayVisibility) -> None:
+        if not visibility:
+            return
         data = owner.data
         geometry_key = (key[0], data.as_pointer())
         if geometry_key not in self._geometry:
@@ -159,14 +164,10 @@ class _Collector:
         self._placements.keys.append(key)
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
+        self._placements.visibility.append(int(visibility))
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""
-        visible = [getattr(owner, f"visible_{ray}") for ray in _RAYS]
-        if not any(visible):
-            return None
-        if not all(visible):
-            self._findings.add(owner, "ray visibility is not supported yet; every ray sees the object.")
         _find_unsupported(owner, self._findings)
         pointer = data.as_pointer()
         if pointer not in self._meshes:

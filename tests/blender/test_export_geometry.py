@@ -22,6 +22,7 @@ from blend import (
     validate,
 )
 from svgf.errors import InputError
+from svgf.scene import RayVisibility
 from svgf_blender.export import Exporter, export_file
 from svgf_blender.export.instances import object_ids
 
@@ -327,13 +328,11 @@ def test_what_is_no_surface_is_named():
     link("Smoke", bpy.data.volumes.new("Smoke"))
     link("Cloud", bpy.data.pointclouds.new("Cloud"))
     ghost = add_mesh("Ghost")
-    ghost.visible_camera = False
     ghost.is_holdout = True
     warnings = "\n".join(export().warnings)
     assert 'Object "Hair": hair curves are not supported yet; the object is left out.' in warnings
     assert 'Object "Smoke": volumes are not supported yet' in warnings
     assert 'Object "Cloud": point clouds are not supported yet' in warnings
-    assert 'Object "Ghost": ray visibility is not supported yet' in warnings
     assert 'Object "Ghost": holdouts are not supported yet' in warnings
 
 
@@ -358,3 +357,23 @@ def test_one_million_triangles_in_half_a_second():
     assert len(scene.meshes[0].triangles) > 1_000_000
     # Processor time, because test machines are busy, and generous: half a second is usual.
     assert times[0] < 2 and times[1] < 0.5
+
+
+def test_ray_visibility_of_objects_and_of_what_places_them():
+    add_mesh("Seen", location=(3, 0, 0))
+    ghost = add_mesh("Ghost")
+    ghost.visible_camera = ghost.visible_shadow = False
+    nobody = add_mesh("Nobody")
+    for ray in ("camera", "diffuse", "glossy", "transmission", "shadow"):
+        setattr(nobody, f"visible_{ray}", False)
+    collection = bpy.data.collections.new("Collection")
+    bpy.context.scene.collection.objects.unlink(ghost)
+    collection.objects.link(ghost)
+    empty = link("Empty", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    empty.visible_glossy = False
+    scene = export()
+    validate(scene)
+    every = RayVisibility.ALL
+    without = RayVisibility.CAMERA | RayVisibility.SHADOW | RayVisibility.GLOSSY
+    assert sorted(scene.instances.visibility.tolist()) == sorted([int(every), int(every & ~without)])

@@ -41,14 +41,15 @@ class _Pass:
 
 
 def _passes(frame: Frame) -> Iterable[_Pass]:
-    opaque = np.ones((frame.height, frame.width, 1), np.float32)
+    alpha = np.ones((frame.height, frame.width), np.float32) if frame.alpha is None else frame.alpha
+    alpha = alpha[..., None]
     motion = frame.motion
     next_frame = np.zeros((frame.height, frame.width, 2), np.float32)
     # Cycles' y axis points up, ours down.
     vector = np.concatenate([motion[..., 0:1], -motion[..., 1:2], next_frame], axis=2)
     radiance = "W/(m^2 sr), linear Rec.709"
-    yield _Pass("Combined", "RGBA", np.concatenate([frame.color, opaque], axis=2), f"{radiance}, denoised")
-    yield _Pass("Noisy Image", "RGBA", np.concatenate([frame.noisy, opaque], axis=2), f"{radiance}, as traced")
+    yield _Pass("Combined", "RGBA", np.concatenate([frame.color, alpha], axis=2), f"{radiance}, denoised")
+    yield _Pass("Noisy Image", "RGBA", np.concatenate([frame.noisy, alpha], axis=2), f"{radiance}, as traced")
     yield _Pass("Denoising Albedo", "RGB", frame.albedo, "1, diffuse plus specular reflectance")
     yield _Pass("Normal", "XYZ", frame.normal, "1, world space, 0 on the background")
     yield _Pass("Depth", "Z", frame.depth, "m, along the camera's axis, 1e10 on the background")
