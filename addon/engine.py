@@ -17,6 +17,7 @@ from .ui.passes import unsupported_passes, wanted_passes
 from .viewport import views
 
 _POLL_SECONDS = 0.02  # between looks for Esc
+_STOP_SECONDS = 0.2  # for a frame to end after it; while a tree is built, nothing can stop it
 _KINDS = {"RGBA": "COLOR", "RGB": "COLOR", "XYZ": "VECTOR", "XYZW": "VECTOR"}  # of a pass by its channels
 
 
@@ -76,19 +77,21 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
                 self.report({"WARNING"}, warning)
         properties = depsgraph.scene.svgf
         self.update_stats("", "Rendering")
-        future = session.start(scene, properties.to_settings(), properties.device)
-        return self._wait(session, future)
+        settings = properties.to_settings()
+        future = session.start(scene, settings, properties.device)
+        return self._wait(session, future, settings.samples)
 
-    def _wait(self, session: Session, future: Future[Frame]) -> Frame:
-        """The finished frame. Raises Interrupted soon after the user pressed Esc."""
-        try:
-            while not future.done() and not self.test_break():
-                wait_for([future], timeout=_POLL_SECONDS)
-                self.update_progress(session.progress)
-        finally:
-            while not future.done():  # again, because the renderer may only just be made
-                session.interrupt()
-                wait_for([future], timeout=_POLL_SECONDS)
+    def _wait(self, session: Session, future: Future[Frame], samples: int) -> Frame:
+        """The finished frame. Raises Interrupted soon after the user pressed Esc, even if the thread takes longer."""
+        while not future.done():
+            if self.test_break():
+                session.stop()
+                wait_for([future], timeout=_STOP_SECONDS)
+                raise Interrupted("The render was cancelled.")
+            wait_for([future], timeout=_POLL_SECONDS)
+            self.update_progress(session.progress)
+            if samples > 1:
+                self.update_stats("", f"Sample {round(session.progress * samples)}/{samples}")
         return future.result()
 
     def _write(self, frame: Frame, depsgraph: bpy.types.Depsgraph) -> None:

@@ -269,24 +269,71 @@ def test_fault_of_ours_is_said(scene, monkeypatch):
         bpy.ops.render.render()
 
 
-def test_cancel(monkeypatch):
-    """Esc while the renderer works: it is interrupted at once."""
+@pytest.fixture
+def running(monkeypatch):
+    """A session whose renderer works until `stopped` is set; the second is what sets it in place of an interrupt."""
     stopped = threading.Event()
 
-    def endless(self, *arguments):
+    def endless(self, scene, progress):
         assert stopped.wait(10)
         raise Interrupted("Stopped.")
 
     monkeypatch.setattr(Renderer, "__init__", lambda self, settings, device: setattr(self, "settings", settings))
     monkeypatch.setattr(Renderer, "render", endless)
-    monkeypatch.setattr(Renderer, "interrupt", lambda self: stopped.set())
-    presses = iter([False, False, True])
-    engine = SimpleNamespace(test_break=lambda: next(presses), update_progress=lambda share: None)
+    monkeypatch.setattr(Renderer, "interrupt", lambda self: None)
     running = session.Session()
     future = running.start(None, Settings(), "reference")
-    with pytest.raises(Interrupted):
-        SVGFRenderEngine._wait(engine, running, future)
+    yield running, future, stopped
+    stopped.set()
     running.close()
+    running.join()
+
+
+def engine_where_esc_is_pressed():
+    presses = iter([False, False, True])
+    return SimpleNamespace(test_break=lambda: next(presses), update_progress=lambda share: None)
+
+
+def test_cancel(running, monkeypatch):
+    """Esc while the renderer works: it is interrupted at once."""
+    job, future, stopped = running
+    monkeypatch.setattr(Renderer, "interrupt", lambda self: stopped.set())
+    with pytest.raises(Interrupted):
+        SVGFRenderEngine._wait(engine_where_esc_is_pressed(), job, future, 1)
+    assert future.done() and not job.busy
+
+
+def test_cancel_while_nothing_can_stop_the_renderer(running, monkeypatch):
+    """A tree is built to its end. Blender goes on without it, and the next job gets a device of its own."""
+    job, future, stopped = running
+    device = session._device("reference")
+    with pytest.raises(Interrupted):
+        SVGFRenderEngine._wait(engine_where_esc_is_pressed(), job, future, 1)
+    assert job.busy
+    job.close()
+    assert job.busy and session._device("reference") is not device
+    stopped.set()
+    job.join()
+    assert not job.busy and job._renderer is None
+
+
+def test_esc_before_the_renderer_has_begun(engine_device, monkeypatch):
+    """Such an interrupt is forgotten by the frame that begins; the frame ends all the same."""
+    job = session.Session()
+    monkeypatch.setattr(Renderer, "render", lambda self, scene, progress: progress(0.5))
+    job.stop()
+    with pytest.raises(Interrupted):
+        job.start(None, Settings(), engine_device).result()
+    job.close()
+
+
+def test_esc_while_a_scene_is_exported(scene, monkeypatch):
+    """No mesh is read after it, and Blender's next job is as good as new."""
+    exporter = session.Exporter()
+    exporter.should_stop = lambda: True
+    with pytest.raises(Interrupted):
+        exporter.export(bpy.context.evaluated_depsgraph_get())
+    assert exporter.counters.meshes == 0
 
 
 def test_interrupted_frame_is_no_error(scene, monkeypatch):
