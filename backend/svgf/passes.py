@@ -21,8 +21,10 @@ class Pass:
     image: Callable[[Frame], np.ndarray]
 
 
-def _with_alpha(color: np.ndarray) -> np.ndarray:
-    return np.concatenate([color, np.ones((*color.shape[:2], 1), np.float32)], axis=2)
+def _with_alpha(frame: Frame, color: np.ndarray) -> np.ndarray:
+    """color: is multiplied by alpha already."""
+    alpha = np.ones((frame.height, frame.width), np.float32) if frame.alpha is None else frame.alpha
+    return np.concatenate([color, alpha[..., None]], axis=2)
 
 
 def _vector(frame: Frame) -> np.ndarray:
@@ -36,8 +38,10 @@ _RADIANCE = "W/(m^2 sr), linear Rec.709"
 PASSES = {
     entry.name: entry
     for entry in (
-        Pass("Combined", "RGBA", f"{_RADIANCE}, denoised", lambda frame: _with_alpha(frame.color)),
-        Pass("Noisy Image", "RGBA", f"{_RADIANCE}, as traced", lambda frame: _with_alpha(frame.noisy)),
+        Pass("Combined", "RGBA", f"{_RADIANCE}, denoised", lambda frame: _with_alpha(frame, frame.color)),
+        Pass(
+            "Noisy Image", "RGBA", f"{_RADIANCE}, as traced", lambda frame: _with_alpha(frame, frame.noisy)
+        ),
         Pass("Denoising Albedo", "RGB", "1, diffuse plus specular reflectance", lambda frame: frame.albedo),
         Pass("Normal", "XYZ", "1, world space, 0 on the background", lambda frame: frame.normal),
         Pass("Depth", "Z", "m, along the camera's axis, 1e10 on the background", lambda frame: frame.depth),

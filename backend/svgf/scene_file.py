@@ -36,6 +36,7 @@ import numpy as np
 from .errors import InputError
 from .frame_range import format_frames
 from .io.files import file_error, replacing
+from .light_paths import LightPaths
 from .scene import (
     Aperture,
     Camera,
@@ -44,7 +45,6 @@ from .scene import (
     Interpolation,
     Light,
     LightKind,
-    LightPaths,
     Material,
     Mesh,
     Projection,
