@@ -19,6 +19,7 @@ from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
+from .uv_maps import find_uv_layers
 from .world import export_world
 
 _T = TypeVar("_T")
@@ -177,9 +178,11 @@ class Exporter:
     ) -> _Snapshot:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, findings)
-        materials = MaterialTable(self._textures, findings)
-        self._meshes.start_frame(self.should_stop, changed)
+        layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
+        materials = MaterialTable(self._textures, findings, layers)
+        self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
+        materials.read(placements.uv_use())
         world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
         keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
