@@ -95,17 +95,7 @@ class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
                 column.prop(context.scene.svgf.denoise, item.name)
 
 
-class SVGF_PT_passes(EnginePanel, bpy.types.Panel):
-    bl_label = "Passes"
-    bl_context = "view_layer"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        for name in ("use_pass_z", "use_pass_normal", "use_pass_vector", "use_pass_object_index"):
-            column.prop(context.view_layer, name)
-
-
-_PANELS = (SVGF_PT_sampling, SVGF_PT_light_paths, SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_passes)
+_PANELS = (SVGF_PT_sampling, SVGF_PT_light_paths, SVGF_PT_denoiser, SVGF_PT_denoiser_advanced)
 
 
 def _blender_panels() -> Iterator[type[bpy.types.Panel]]:
