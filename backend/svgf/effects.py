@@ -7,7 +7,7 @@ from enum import IntFlag, auto
 
 import numpy as np
 
-from .scene import Instances, LightKind, Material, Mesh, Scene
+from .scene import Instances, LightKind, Material, Mesh, RayVisibility, Scene
 
 
 class Effects(IntFlag):
@@ -16,7 +16,9 @@ class Effects(IntFlag):
     TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides Lambert's. TRANSMISSION: a material
     refracts. MESH_LIGHTS: a mesh emits. DELTA_LIGHTS: lamps without size. AREA_LIGHTS: lamps with size. ENVIRONMENT:
     the world emits. CAMERA_MOTION, OBJECT_MOTION: moved since the previous frame. DEFORMATION: vertices moved within an
-    object.
+    object. ENVIRONMENT_MAP: the world is an image. DEPTH_OF_FIELD: the lens has an opening. RAY_VISIBILITY: not all kinds
+    of rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose among them
+    at every point anew.
     """
 
     NONE = 0
@@ -30,27 +32,50 @@ class Effects(IntFlag):
     CAMERA_MOTION = auto()
     OBJECT_MOTION = auto()
     DEFORMATION = auto()
+    ENVIRONMENT_MAP = 1 << 16
+    DEPTH_OF_FIELD = 1 << 17
+    RAY_VISIBILITY = 1 << 18
+    LIGHT_PATH_LIMITS = 1 << 19
+    MANY_LIGHTS = 1 << 20
 
 
 def find_effects(scene: Scene) -> Effects:
     """The effects of one frame. Materials and meshes that no instance uses do not count."""
-    effects = Effects.NONE
+    effects = _world_and_camera_effects(scene)
     for index in np.flatnonzero(used_materials(scene)):
         effects |= _material_effects(scene.materials[index])
     for light in scene.lights:
         if max(light.power) > 0.0:
             has_size = light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) or light.size[0] > 0.0
             effects |= Effects.AREA_LIGHTS if has_size else Effects.DELTA_LIGHTS
-    if max(scene.world.radiance) > 0.0:
-        effects |= Effects.ENVIRONMENT
-    camera, previous = scene.camera, scene.previous_camera
-    if not np.array_equal(camera.camera_to_world, previous.camera_to_world) or camera.window != previous.window:
-        effects |= Effects.CAMERA_MOTION
     instances = scene.instances
     if not np.array_equal(instances.object_to_world, instances.previous_object_to_world):
         effects |= Effects.OBJECT_MOTION
     if any(scene.meshes[index].previous_positions is not None for index in np.unique(instances.mesh)):
         effects |= Effects.DEFORMATION
+    return effects
+
+
+def _world_and_camera_effects(scene: Scene) -> Effects:
+    effects = Effects.NONE
+    if max(scene.world.radiance) > 0.0:
+        effects |= Effects.ENVIRONMENT
+        if scene.world.environment >= 0:
+            effects |= Effects.ENVIRONMENT_MAP
+        if scene.world.visibility | RayVisibility.SHADOW != RayVisibility.ALL:
+            effects |= Effects.RAY_VISIBILITY
+    camera, previous = scene.camera, scene.previous_camera
+    if not np.array_equal(camera.camera_to_world, previous.camera_to_world) or camera.window != previous.window:
+        effects |= Effects.CAMERA_MOTION
+    if camera.aperture.radius > 0.0:
+        effects |= Effects.DEPTH_OF_FIELD
+    visibility = scene.instances.visibility
+    seen_by_all = visibility is None or bool((np.asarray(visibility) == RayVisibility.ALL).all())
+    every_bounce = RayVisibility.DIFFUSE | RayVisibility.GLOSSY | RayVisibility.TRANSMISSION
+    if not seen_by_all or any(light.visibility & every_bounce != every_bounce for light in scene.lights):
+        effects |= Effects.RAY_VISIBILITY
+    if scene.defaults.light_paths.changes(scene.defaults.bounces):
+        effects |= Effects.LIGHT_PATH_LIMITS
     return effects
 
 

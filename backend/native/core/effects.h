@@ -20,7 +20,12 @@ enum class Effects : std::uint32_t {
     camera_motion = 1u << 7,
     object_motion = 1u << 8,
     deformation = 1u << 9,
-    all = (1u << 10) - 1,
+    environment_map = 1u << 16,
+    depth_of_field = 1u << 17,
+    ray_visibility = 1u << 18,
+    light_path_limits = 1u << 19,
+    many_lights = 1u << 20,
+    all = (1u << 21) - 1,
 };
 
 SVGF_HD constexpr Effects operator|(Effects a, Effects b) { return Effects(std::uint32_t(a) | std::uint32_t(b)); }
