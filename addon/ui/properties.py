@@ -119,8 +119,30 @@ class SVGFSettings(bpy.types.PropertyGroup):
     viewport_overlay: bpy.props.EnumProperty(
         name="Viewport Shows",
         description="The result, or one of the images that it is made from",
-        items=[(name, *text[:2], "", text[2]) for name, text in OVERLAYS.items()],
+        items=[(name, each.label, each.description, "", each.number) for name, each in OVERLAYS.items()],
         default="result",
+        update=_redraw_views,
+    )
+    viewport_split: bpy.props.FloatProperty(
+        name="Split",
+        description="Where the noisy input ends and the result begins, as a share of the view's width",
+        default=0.5,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=_redraw_views,
+    )
+    viewport_budget: bpy.props.FloatProperty(
+        name="Frame Budget",
+        description=(
+            "Milliseconds that a frame may take while the view or the scene changes. The resolution drops as far as "
+            "that asks for, and is whole again when nothing changes; 0 keeps it whole"
+        ),
+        default=50.0,
+        min=0.0,
+        soft_max=1000.0,
+        max=1e5,
+        precision=0,
         update=_redraw_views,
     )
     seed: bpy.props.IntProperty(

@@ -42,7 +42,6 @@ class ViewSession:
         self._shown: Scene | None = None  # as of the last request, in full size
         self._request: Request | None = None
         self._error = ""
-        self._note = ""
 
     @property
     def result(self) -> Result:
@@ -77,8 +76,8 @@ class ViewSession:
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each thing that is not as in Blender."""
-        notes = tuple(note for note in (self._note, self.result.note) if note)
-        return notes + (self._scene.warnings if self._scene else ())
+        note = self.result.note
+        return ((note,) if note else ()) + (self._scene.warnings if self._scene else ())
 
     @property
     def sample_limit(self) -> int:
@@ -121,7 +120,6 @@ class ViewSession:
         """
         if self._scene is None:
             return
-        self._note = view.note
         last = self._request
         scene = replace(self._scene, camera=view.camera, defaults=defaults)
         changed = self._shown is None or not _same_content(scene, self._shown)
@@ -154,7 +152,7 @@ class ViewSession:
         parts = [f"Sample {result.samples}/{self.sample_limit}", f"{result.milliseconds:.0f} ms"]
         if self.divisor > 1:
             parts.append(f"1/{self.divisor} resolution")
-        return " | ".join([*parts, *(note for note in (self._note, result.note) if note)])
+        return " | ".join([*parts, *([result.note] if result.note else [])])
 
     def stop(self) -> None:
         """The worker ends soon."""
