@@ -15,11 +15,13 @@ _NOTHING: frozenset[str] = frozenset()
 class Changes:
     """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
 
-    Matrices, materials, lamps and the world are few or read in bulk, so they are read with every export.
+    moves_only: objects have moved, and that is all. Otherwise materials, lamps and the world, which are few, are read
+    again.
     """
 
     geometry: frozenset[str] = _NOTHING
     images: frozenset[str] = _NOTHING
+    moves_only: bool = False
 
 
 def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None:
@@ -28,14 +30,19 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
     that an object was selected as well as hidden.
     """
-    geometry, images, exports = set(), set(), False
+    geometry, images, exports, moves_only = set(), set(), False, True
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
             continue
         exports = True
+        moves_only &= isinstance(changed, bpy.types.Object) and _has_only_moved(update)
         if isinstance(changed, bpy.types.Image):
             images.add(changed.name_full)
         elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
             geometry.add(changed.name_full)
-    return Changes(frozenset(geometry), frozenset(images)) if exports else None
+    return Changes(frozenset(geometry), frozenset(images), moves_only) if exports else None
+
+
+def _has_only_moved(update: bpy.types.DepsgraphUpdate) -> bool:
+    return update.is_updated_transform and not (update.is_updated_geometry or update.is_updated_shading)

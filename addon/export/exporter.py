@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import bpy
@@ -15,7 +15,7 @@ from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults,
 from .camera import export_camera, render_size
 from .changes import Changes
 from .findings import Findings
-from .instances import Key, collect, object_ids
+from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
@@ -32,6 +32,8 @@ class _Snapshot:
     camera_name: str
     camera: Camera
     keys: dict[Key, int]
+    object_id: np.ndarray
+    layout: Layout
     matrices: np.ndarray
     meshes: tuple[Mesh, ...]
     instance_mesh: np.ndarray
@@ -50,11 +52,12 @@ class _Snapshot:
 class ExportCounters:
     """What an exporter did since it was made.
 
-    exports: walks through all objects. full: those that read every mesh. meshes: read from Blender. instances,
-    materials, lights: that were new or differed from those of the export before.
+    exports: scenes that were made. walks: of these, made by looking at every object. full: walks that read every mesh.
+    meshes: read from Blender. instances, materials, lights: that were new or differed from those of the export before.
     """
 
     exports: int = 0
+    walks: int = 0
     full: int = 0
     meshes: int = 0
     instances: int = 0
@@ -124,12 +127,26 @@ class Exporter:
         """
         last = self._last
         if changes is not None:
+            if changes.moves_only and last is not None and self._move(depsgraph, camera):
+                return self._scene(self._last, last)
             self._textures.forget(changes.images)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
         )
         return self._scene(now, last)
+
+    def _move(self, depsgraph: bpy.types.Depsgraph, camera: Camera) -> bool:
+        """Brings the last snapshot up to date where nothing but matrices differs; False where there is more to read."""
+        last = self._last
+        matrices = moved_matrices(depsgraph, last.layout)
+        if matrices is None:
+            return False
+        frame = depsgraph.scene_eval.frame_current
+        self._last = replace(last, frame=frame, camera=_keep(camera, last.camera), matrices=matrices)
+        self.counters.exports += 1
+        self.counters.instances += _moved_count(self._last, last)
+        return True
 
     def _take(
         self, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None, camera: bpy.types.Object | None
@@ -156,11 +173,14 @@ class Exporter:
         self._meshes.start_frame(changed)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
             frame=scene.frame_current,
             camera_name=camera_name,
             camera=_keep(camera, last and last.camera),
-            keys={key: row for row, key in enumerate(placements.keys)},
+            keys=keys,
+            object_id=last.object_id if last and keys == last.keys else object_ids(keys),
+            layout=placements.layout,
             matrices=placements.matrices,
             meshes=_keep_all(placements.meshes, last and last.meshes),
             instance_mesh=np.array(placements.mesh, np.int32),
@@ -180,6 +200,7 @@ class Exporter:
     def _count(self, now: _Snapshot, last: _Snapshot | None, full: bool) -> None:
         counters = self.counters
         counters.exports += 1
+        counters.walks += 1
         counters.full += full
         counters.meshes = self._meshes.reads
         counters.instances += _moved_count(now, last)
@@ -191,7 +212,7 @@ class Exporter:
             mesh=now.instance_mesh,
             object_to_world=now.matrices,
             previous_object_to_world=_previous_matrices(now, last),
-            object_id=object_ids(now.keys),
+            object_id=now.object_id,
             material_start=now.material_start,
             material_table=now.material_table,
         )
@@ -229,10 +250,9 @@ def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
     """float64 [N, 3, 4]: an object that was not there at the previous frame has not moved."""
     if last is None or not len(now.matrices):
         return now.matrices
-    rows = np.array([last.keys.get(key, -1) for key in now.keys])
+    rows = _rows_before(now, last)
     known = rows >= 0
-    previous = now.matrices.copy()
-    previous[known] = last.matrices[rows[known]]
+    previous = np.where(known[:, None, None], last.matrices[rows], now.matrices) if len(last.matrices) else now.matrices
     return now.matrices if np.array_equal(previous, now.matrices) else previous
 
 
@@ -240,10 +260,17 @@ def _moved_count(now: _Snapshot, last: _Snapshot | None) -> int:
     """Placements that are new, or elsewhere than in the last snapshot."""
     if last is None:
         return len(now.keys)
-    rows = np.array([last.keys.get(key, -1) for key in now.keys], int)
+    rows = _rows_before(now, last)
     known = rows >= 0
     same = (now.matrices[known] == last.matrices[rows[known]]).all(axis=(1, 2))
     return len(rows) - int(np.count_nonzero(same))
+
+
+def _rows_before(now: _Snapshot, last: _Snapshot) -> np.ndarray:
+    """int [N] row of each placement in the last snapshot, -1 where it was not there."""
+    if now.keys is last.keys:
+        return np.arange(len(now.keys))
+    return np.array([last.keys.get(key, -1) for key in now.keys], int)
 
 
 def _new_count(now: tuple[_T, ...], last: tuple[_T, ...] | None) -> int:

@@ -31,6 +31,20 @@ _UNSUPPORTED_TYPES = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which of the depsgraph's instances became rows: as long as they stay the same, their matrices are all to read.
+
+    persistent_ids: int32 [I, 8] of all instances. rows: those that are placements. still: int [J], instances whose
+    matrix matters to more than a placement (lamps), or that were left out for it. matrices: float32 [J, 4, 4] of these.
+    """
+
+    persistent_ids: np.ndarray
+    rows: np.ndarray
+    still: np.ndarray
+    matrices: np.ndarray
+
+
 @dataclass
 class Placements:
     """Rows of mesh placements, and the lamps. The lists and matrices have one entry a row.
@@ -45,6 +59,7 @@ class Placements:
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
+    layout: Layout | None = None
 
 
 def collect(
@@ -56,6 +71,28 @@ def collect(
 ) -> Placements:
     """Reads all object instances of the evaluated frame, those that `space` hides (as in its local view) left out."""
     return _Collector(mesh_cache, materials, findings, depsgraph.view_layer_eval, space).collect(depsgraph)
+
+
+def moved_matrices(depsgraph: bpy.types.Depsgraph, layout: Layout) -> np.ndarray | None:
+    """Placements.matrices where objects have moved and nothing else; None where that is not all there is to read."""
+    matrices, persistent_ids = _read(depsgraph)
+    if not np.array_equal(persistent_ids, layout.persistent_ids):
+        return None
+    if not np.array_equal(matrices[layout.still], layout.matrices, equal_nan=True):
+        return None
+    moved = matrices[layout.rows, :3].astype(np.float64)
+    return moved if np.isfinite(moved).all() else None
+
+
+def _read(depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
+    """Of all instances: matrices, float32 [N, 4, 4], and persistent ids, int32 [N, 8]."""
+    instances = depsgraph.object_instances
+    count = len(instances)
+    matrices = np.empty((count, 4, 4), np.float32)
+    persistent_ids = np.empty((count, 8), np.int32)
+    instances.foreach_get("matrix_world", matrices.ravel())
+    instances.foreach_get("persistent_id", persistent_ids.ravel())
+    return matrices.transpose(0, 2, 1), persistent_ids  # Blender stores matrices by columns
 
 
 def object_ids(keys: Iterable[Key]) -> np.ndarray:
@@ -100,17 +137,12 @@ class _Collector:
         self._used_keys: dict[Key, int] = {}
 
     def collect(self, depsgraph: bpy.types.Depsgraph) -> Placements:
-        instances = depsgraph.object_instances
-        count = len(instances)
-        matrices = np.empty((count, 4, 4), np.float32)
-        persistent_ids = np.empty((count, 8), np.int32)
-        instances.foreach_get("matrix_world", matrices.ravel())
-        instances.foreach_get("persistent_id", persistent_ids.ravel())
-        # Blender stores matrices by columns.
-        matrices = matrices.transpose(0, 2, 1).astype(np.float64)
+        stored, persistent_ids = _read(depsgraph)
+        matrices = stored.astype(np.float64)
         finite = np.isfinite(matrices).all(axis=(1, 2))
         id_bytes = persistent_ids.tobytes()
-        for row, instance in enumerate(instances):
+        still = []
+        for row, instance in enumerate(depsgraph.object_instances):
             owner = instance.object
             kind = owner.type
             if kind not in {"MESH", "LIGHT"} or not instance.show_self:
@@ -119,6 +151,8 @@ class _Collector:
                 continue
             if self._space is not None and not self._is_in_view(instance):
                 continue
+            if kind == "LIGHT" or not finite[row]:
+                still.append(row)
             if not finite[row]:
                 self._findings.add(owner, "its transform is not finite; it is left out.")
             elif kind == "LIGHT":
@@ -131,6 +165,7 @@ class _Collector:
                     key = (owner.name_full, instance.parent.name_full, id_bytes[32 * row : 32 * row + 32])
                 self._add_mesh(owner, row, key)
         self._placements.matrices = matrices[self._rows, :3]
+        self._placements.layout = Layout(persistent_ids, np.array(self._rows, int), np.array(still, int), stored[still])
         return self._placements
 
     def _is_in_view(self, instance: bpy.types.DepsgraphObjectInstance) -> bool:

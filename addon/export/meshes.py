@@ -207,10 +207,34 @@ def _triangle_corners(data: bpy.types.Mesh, source: _Source) -> np.ndarray:
     corner_count, face_count = len(source.corner_vertices), len(source.face_starts)
     if corner_count == 3 * face_count:
         return np.arange(corner_count, dtype=np.int32).reshape(-1, 3)
+    sizes = _face_sizes(source)
+    if sizes.max() <= 4:
+        return _split_quads(source, sizes)
     data.calc_loop_triangles()
     corners = np.empty((corner_count - 2 * face_count, 3), np.int32)
     data.loop_triangles.foreach_get("loops", corners.ravel())
     return corners
+
+
+def _split_quads(source: _Source, sizes: np.ndarray) -> np.ndarray:
+    """As Blender splits them, but read in a fraction of the time: along the diagonal from the first corner to the third,
+    unless the other two lie on the same side of it."""
+    quads = source.face_starts[sizes == 4]
+    first, second, third, fourth = (source.positions[source.corner_vertices[quads + corner]] for corner in range(4))
+    a, diagonal, b = second - first, third - first, fourth - first
+    # cross(a, diagonal) . cross(b, diagonal) > 0
+    flipped = _dots(a, b) * _dots(diagonal, diagonal) > _dots(a, diagonal) * _dots(b, diagonal)
+    corners = np.repeat(source.face_starts, sizes - 2)[:, None] + np.array([0, 1, 2], np.int32)
+    last = np.cumsum(sizes - 2)[sizes == 4] - 1
+    corners[last, 1:] += 1
+    corners[last[flipped] - 1, 2] += 1
+    corners[last[flipped], 0] += 1
+    return corners
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[N] of [N, 3] vectors."""
+    return np.einsum("ij,ij->i", a, b)
 
 
 def _triangle_faces(source: _Source) -> np.ndarray:
