@@ -14,7 +14,7 @@ from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults,
 
 from .camera import export_camera, render_size
 from .changes import Changes
-from .findings import Findings
+from .findings import Finding, Findings
 from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialTable
 from .meshes import MeshCache
@@ -74,6 +74,7 @@ class Exporter:
 
     def __init__(self) -> None:
         self.counters = ExportCounters()
+        self.findings: tuple[Finding, ...] = ()  # of the last call
         self._meshes = MeshCache()
         self._textures = TextureCache()
         self._last: _Snapshot | None = None
@@ -194,6 +195,7 @@ class Exporter:
             name=scene.name,
             warnings=findings.sentences(),
         )
+        self.findings = findings.found()
         self._count(self._last, last, full=changed is None)
         return self._last
 
@@ -279,15 +281,20 @@ def _new_count(now: tuple[_T, ...], last: tuple[_T, ...] | None) -> int:
 
 
 def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefaults:
-    """What an evaluated or original scene says about its render, for an image of this size."""
+    """What an evaluated or original scene says about its render, for an image of this size.
+
+    Light paths are Cycles', unless the scene has its own, which Blender knows where svgf's properties are registered.
+    """
     render = scene.render
     cycles = getattr(scene, "cycles", None)  # absent where the Cycles add-on is disabled
-    return RenderDefaults(
+    defaults = RenderDefaults(
         *size,
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
     )
+    settings = getattr(scene, "svgf", None)
+    return settings.with_own_light_paths(defaults) if settings else defaults
 
 
 def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:

@@ -16,6 +16,7 @@ from svgf.settings import Settings
 from ..export import Exporter
 from ..export.changes import find_changes
 from ..export.exporter import ExportCounters
+from ..export.findings import Finding
 from .camera import View, same_camera
 from .picture import Look
 from .resolution import Resolution
@@ -74,10 +75,9 @@ class ViewSession:
         return self._error or self.result.error
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence for each thing that is not as in Blender."""
-        note = self.result.note
-        return ((note,) if note else ()) + (self._scene.warnings if self._scene else ())
+    def findings(self) -> tuple[Finding, ...]:
+        """What is not as in Blender, of the newest export."""
+        return self._exporter.findings if self._scene else ()
 
     @property
     def sample_limit(self) -> int:

@@ -10,9 +10,12 @@ from pathlib import Path
 import bpy
 import pytest
 import svgf_blender
+from blend import add_cube, export, validate
 from svgf import __version__
 from svgf.errors import InputError
+from svgf.scene import LightPaths, RenderDefaults
 from svgf.settings import DenoiseSettings, Settings
+from svgf_blender.export.exporter import render_defaults
 
 HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre", "undo_post", "redo_post")
 
@@ -53,16 +56,17 @@ def test_defaults_are_those_of_the_settings(registered):
 
 
 def test_every_property_has_description_and_range(registered):
-    groups = (bpy.context.scene.svgf, bpy.context.scene.svgf.denoise)
+    settings = bpy.context.scene.svgf
+    groups = (settings, settings.denoise, settings.light_paths)
     for group in groups:
         for item in group.bl_rna.properties:
-            if item.identifier in {"rna_type", "name", "denoise"}:
+            if item.identifier in {"rna_type", "name"} or item.type == "POINTER":
                 continue
             assert item.description and item.name, item.identifier
             assert not item.description.endswith("."), item.identifier
             if item.type in {"INT", "FLOAT"}:
                 assert item.hard_min > -1e9 and item.hard_max < 1e10, item.identifier
-            else:
+            elif item.type == "ENUM":
                 assert all(choice.description for choice in item.enum_items), item.identifier
 
 
@@ -73,6 +77,51 @@ def test_denoise_properties_are_the_settings_fields(registered):
         assert shown.hard_min == pytest.approx(item.metadata["minimum"])
         assert shown.hard_max == pytest.approx(item.metadata["maximum"])
         assert item.metadata["meaning"].rstrip(".") in shown.description
+
+
+def test_light_paths_are_cycles_until_the_scene_has_its_own(registered):
+    scene, size = bpy.context.scene, (8, 4)
+    scene.cycles.max_bounces = 7
+    assert render_defaults(scene, size).bounces == 7
+    scene.svgf.use_own_light_paths = True
+    own = render_defaults(scene, size)
+    assert own.light_paths == LightPaths() and own.bounces == RenderDefaults.bounces
+    scene.svgf.light_paths.bounces, scene.svgf.light_paths.clamp_indirect = 3, 0.7
+    own = render_defaults(scene, size)
+    assert (own.bounces, own.light_paths.clamp_indirect) == (3, 0.7)
+
+
+def test_ranges_of_light_paths_are_valid(registered):
+    """The scene's validation accepts what sliders can be dragged to."""
+    add_cube()
+    settings = bpy.context.scene.svgf
+    settings.use_own_light_paths = True
+    for end in ("hard_min", "hard_max"):
+        for item in settings.light_paths.bl_rna.properties:
+            if item.type in {"INT", "FLOAT"}:
+                setattr(settings.light_paths, item.identifier, getattr(item, end))
+        validate(export(size=(8, 4)))
+
+
+def test_quality_sets_samples_and_is_found_again(registered):
+    settings = bpy.context.scene.svgf
+    assert settings.quality == "balanced"
+    for name in ("draft", "final", "balanced"):
+        settings.quality = name
+        assert settings.quality == name
+    settings.viewport_samples += 1
+    assert settings.quality == "custom"
+    before = settings.viewport_samples
+    settings.quality = "custom"
+    assert settings.viewport_samples == before
+
+
+def test_quality_is_kept_in_the_file(registered, tmp_path):
+    bpy.context.scene.svgf.quality = "final"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "quality.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "quality.blend"))
+    assert bpy.context.scene.svgf.quality == "final"
 
 
 @pytest.mark.parametrize("name", ["samples", "seed"])

@@ -12,10 +12,11 @@ from blend import add_cube, add_image, add_light, add_material, add_mesh, add_wo
 from svgf.scene import Camera, RenderDefaults
 from svgf.settings import Settings
 from svgf_blender.viewport.camera import View
+from svgf_blender.viewport.picture import Look
 from svgf_blender.viewport.session import ViewSession
 
-FIRST = View(Camera(np.eye(3, 4), (-1.0, 1.0, -0.5, 0.5)))
-SECOND = View(Camera(np.eye(3, 4), (-0.9, 1.1, -0.5, 0.5)), "A note.")
+FIRST = View(Camera(np.eye(3, 4), (-1.0, 1.0, -0.5, 0.5)), (24, 12))
+SECOND = View(Camera(np.eye(3, 4), (-0.9, 1.1, -0.5, 0.5)), (24, 12))
 SIZE = RenderDefaults(24, 12, bounces=1)
 
 
@@ -58,7 +59,7 @@ def session(world):
 
 
 def show(session, view=FIRST, defaults=SIZE, **changes):
-    options = {"settings": Settings(), "device": "cpu", "sample_limit": 4, "overlay": "result", **changes}
+    options = {"settings": Settings(), "device": "cpu", "sample_limit": 4, "look": Look(), "budget": 0, **changes}
     session.show(view, defaults, *options.values())
     return session._worker.requests
 
@@ -143,7 +144,6 @@ def test_same_picture_is_asked_for_once(session):
     assert len(show(session)) == 1, "A selection changes no picture."
     show(session, SECOND)
     assert requests[1].scene.meshes is requests[0].scene.meshes and session.counters.full == 1
-    assert session.warnings[0] == "A note."
 
 
 def test_selection_after_a_move_changes_no_picture(session):
@@ -156,7 +156,7 @@ def test_selection_after_a_move_changes_no_picture(session):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"settings": Settings(seed=1)}, {"device": "reference"}, {"sample_limit": 9}, {"overlay": "normal"}],
+    [{"settings": Settings(seed=1)}, {"device": "reference"}, {"sample_limit": 9}, {"look": Look("normal")}],
     ids=lambda changes: next(iter(changes)),
 )
 def test_options_make_a_request_but_no_scene(session, changes):

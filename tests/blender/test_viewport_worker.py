@@ -14,7 +14,7 @@ from svgf.devices import available_devices
 from svgf.errors import DeviceError, InputError, Interrupted
 from svgf.settings import Settings
 from svgf_blender.viewport import worker as module
-from svgf_blender.viewport.picture import OVERLAYS, paint
+from svgf_blender.viewport.picture import OVERLAYS, Look, paint
 from svgf_blender.viewport.worker import Request, Worker
 
 DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.available and info.name == "cpu")
@@ -107,9 +107,9 @@ def test_still_view_becomes_what_a_final_render_is(worker, scene):
 
 def test_overlay_paints_the_same_frame_again(worker, scene):
     first = ask(worker, scene)
-    second = ask(worker, scene, overlay="normal")
+    second = ask(worker, scene, look=Look("normal"))
     assert second.frame is first.frame and second.number == first.number + 1
-    assert np.array_equal(second.picture, paint(first.frame, "normal"))
+    assert np.array_equal(second.picture, paint(first.frame, Look("normal")))
 
 
 def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
@@ -117,10 +117,10 @@ def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
     color = frame.color.copy()
     color[0, 0], color[0, 1] = (np.nan, np.inf, 1e9), (-1, 0, -np.inf)
     for overlay in OVERLAYS:
-        picture = paint(replace(frame, color=color), overlay)
+        picture = paint(replace(frame, color=color), Look(overlay))
         assert picture.shape == (14, 24, 4) and picture.dtype == np.float32 and picture.flags.c_contiguous
         assert np.isfinite(picture.astype(np.float16)).all() and picture.min() >= 0 and (picture[..., 3] == 1).all()
-    picture = paint(replace(frame, color=color), "result")
+    picture = paint(replace(frame, color=color), Look())
     assert picture[-1, 0, :3].tolist() == [0, 65504, 65504], "The bottom row comes first."
 
 
@@ -129,7 +129,7 @@ def test_overlays_of_an_empty_scene(worker, scene):
     empty = replace(instances, **{name: getattr(instances, name)[:0] for name in vars(instances)})
     frame = ask(worker, replace(scene, meshes=(), instances=empty), limit=1).frame
     for overlay in OVERLAYS:
-        assert np.isfinite(paint(frame, overlay)).all()
+        assert np.isfinite(paint(frame, Look(overlay))).all()
 
 
 def test_error_is_shown_and_the_next_request_goes_on(worker, scene):
