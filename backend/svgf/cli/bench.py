@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -135,6 +135,25 @@ def accuracy(
         _print_accuracy(rows, title)
 
 
+@app.command()
+def export(
+    tries: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Each change is measured so often; the best counts.")
+    ] = 5,
+    as_json: JsonOption = False,
+) -> None:
+    """What it costs to bring a change in Blender to the renderer: milliseconds, and how much is exported."""
+    from .progress import silence
+    from .sources import load_export_timings
+
+    with silence(1):
+        rows = load_export_timings()(tries)
+    if as_json:
+        typer.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    else:
+        _print_export(rows)
+
+
 def _paths(files: list[Path] | None) -> list[Path]:
     from .sources import shipped_scenes
 
@@ -215,3 +234,16 @@ def _print_accuracy(rows: list[Accuracy], title: str) -> None:
     console = Console(highlight=False)
     console.print(title, markup=False, soft_wrap=True)
     console.print(table)
+
+
+def _print_export(rows: Sequence[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("change")
+    for heading in ("ms", "processor ms", *(field.name for field in fields(rows[0])[3:])):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        change, milliseconds, processor_milliseconds, *counts = asdict(row).values()
+        table.add_row(change, f"{milliseconds:.2f}", f"{processor_milliseconds:.2f}", *map(str, counts))
+    Console(highlight=False).print(table)
