@@ -16,7 +16,7 @@ _UNIT_SQUARE = Matrix(((2, 0, 0, -1), (0, 2, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1))
 
 
 class PictureTexture:
-    """The newest picture on the GPU.
+    """The newest picture on the GPU, in float32: converting it to half would take longer than the upload.
 
     Blender's Python has no call that writes to an existing texture, so each picture becomes one, at its first draw;
     further draws (of overlays, menus, other areas) use it as it is.
@@ -56,5 +56,5 @@ class PictureTexture:
         height, width = picture.shape[:2]
         self._texture = None  # the old one is free before the new one asks for memory
         pixels = gpu.types.Buffer("FLOAT", picture.size, picture.reshape(-1))
-        self._texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
+        self._texture = gpu.types.GPUTexture((width, height), format="RGBA32F", data=pixels)
         self._picture = picture

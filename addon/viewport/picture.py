@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from svgf.frame import Frame
 
-_LARGEST_HALF = 65504.0  # beyond it a half-float texture holds infinity, which draws black
+_LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
 _ERROR_RANGE_LOG10 = 2.0  # of the standard deviation, below radiance 1
@@ -43,6 +43,7 @@ class Overlay:
     number: int
     is_data: bool
     image: Callable[[Frame], np.ndarray]
+    needs: tuple[str, ...] = ("color",)  # the images of a frame that image reads
 
 
 def _depth(frame: Frame) -> np.ndarray:
@@ -98,9 +99,9 @@ def _bad_values(frame: Frame) -> np.ndarray:
 
 def find_bad_values(frame: Frame) -> np.ndarray:
     """bool [H, W]: pixels with an input that is not finite, or with light less than none; the denoiser repairs them."""
-    images = (frame.noisy, frame.albedo, frame.normal, frame.motion[..., :2], frame.depth[..., None])
-    finite = np.logical_and.reduce([np.isfinite(image).all(axis=-1) for image in images])
-    return ~finite | (frame.noisy < 0).any(axis=-1)
+    # A sum is finite only where all of its terms are.
+    total = frame.depth + sum(image.sum(axis=-1) for image in (frame.noisy, frame.albedo, frame.normal, frame.motion))
+    return ~np.isfinite(total) | (frame.noisy.min(axis=-1) < 0)
 
 
 def _history(frame: Frame) -> np.ndarray:
@@ -113,18 +114,42 @@ def _normal(frame: Frame) -> np.ndarray:
 
 OVERLAYS = {
     "result": Overlay("Result", "The denoised picture", 0, False, lambda frame: frame.color),
-    "split": Overlay("Split Screen", "Noisy input on the left, result on the right", 8, False, lambda frame: frame.color),
-    "noisy": Overlay(
-        "Noisy Input", "What the path tracer saw in the newest frame", 1, False, lambda frame: frame.noisy
+    "split": Overlay(
+        "Split Screen",
+        "Noisy input on the left, result on the right",
+        8,
+        False,
+        lambda frame: frame.color,
+        ("color", "noisy"),
     ),
-    "albedo": Overlay("Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo),
-    "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal),
-    "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth),
+    "noisy": Overlay(
+        "Noisy Input",
+        "What the path tracer saw in the newest frame",
+        1,
+        False,
+        lambda frame: frame.noisy,
+        ("noisy",),
+    ),
+    "albedo": Overlay(
+        "Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo, ("albedo",)
+    ),
+    "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal, ("normal", "object_id")),
+    "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth, ("depth", "object_id")),
     "motion": Overlay(
-        "Motion", "Where surfaces come from, within 16 pixels: red right, green up, grey still", 5, True, _motion
+        "Motion",
+        "Where surfaces come from, within 16 pixels: red right, green up, grey still",
+        5,
+        True,
+        _motion,
+        ("motion",),
     ),
     "history_length": Overlay(
-        "History Length", "Frames in the temporal mean: 1 is black, 32 and more are white", 6, True, _history
+        "History Length",
+        "Frames in the temporal mean: 1 is black, 32 and more are white",
+        6,
+        True,
+        _history,
+        ("history_length",),
     ),
     "variance": Overlay(
         "Noise Left",
@@ -132,6 +157,7 @@ OVERLAYS = {
         7,
         True,
         _noise,
+        ("variance",),
     ),
     "reset_reason": Overlay(
         "Reset Reason",
@@ -139,11 +165,22 @@ OVERLAYS = {
         9,
         True,
         _reset_reasons,
+        ("object_id", "motion", "history_length"),
     ),
     "bad_values": Overlay(
-        "NaN Map", "Pixels whose input was not a number, infinite or negative, and was repaired", 10, True, _bad_values
+        "NaN Map",
+        "Pixels whose input was not a number, infinite or negative, and was repaired",
+        10,
+        True,
+        _bad_values,
+        ("noisy", "albedo", "normal", "motion", "depth"),
     ),
 }
+
+
+def needed_images(look: Look) -> frozenset[str]:
+    """The images of a frame that paint reads."""
+    return frozenset(OVERLAYS[look.overlay].needs) | ({"object_id"} if look.transparent else frozenset())
 
 
 def paint(frame: Frame, look: Look) -> np.ndarray:
@@ -151,14 +188,19 @@ def paint(frame: Frame, look: Look) -> np.ndarray:
     overlay = OVERLAYS[look.overlay]
     image = overlay.image(frame)
     image = image if image.ndim == 3 else image[..., None]
-    pixels = np.ones((frame.height, frame.width, 4), np.float32)
-    # fmax and fmin, which take the number where the other one is none.
-    colors = np.fmax(image[::-1], 0, out=pixels[..., :3])
-    np.fmin(colors, 1 if overlay.is_data else _LARGEST_HALF, out=colors)
+    pixels = np.empty((frame.height, frame.width, 4), np.float32)
+    pixels[..., 3] = 1
+    pixels[..., :3] = _limited(image, 1 if overlay.is_data else _LARGEST_HALF)[::-1]
     if look.overlay == "split":
         column = round(look.split * frame.width)
-        colors[:, :column] = np.fmin(np.fmax(frame.noisy[::-1, :column], 0), _LARGEST_HALF)
-        colors[:, max(column - 1, 0) : column] = 1
+        pixels[:, :column, :3] = _limited(frame.noisy[::-1, :column], _LARGEST_HALF)
+        pixels[:, max(column - 1, 0) : column] = 1
     if look.transparent and not overlay.is_data:
         pixels[frame.object_id[::-1] == 0] = 0
     return pixels
+
+
+def _limited(image: np.ndarray, largest: float) -> np.ndarray:
+    """In [0, largest], 0 for what is no number: fmax and fmin take the other one."""
+    limited = np.fmax(image, np.float32(0))
+    return np.fmin(limited, np.float32(largest), out=limited)

@@ -19,9 +19,10 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import Look, paint
+from .picture import Look, needed_images, paint
 
 _JOIN_SECONDS = 0.02
+_STATISTICS = frozenset({"color", "variance", "history_length"})  # images that panels tell about
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -179,7 +180,10 @@ class Worker:
 
     def _serve(self, request: Request) -> None:
         result = self.result
-        if self._is_new(request) or result.samples < request.sample_limit:
+        has_images = result.frame is not None and all(
+            getattr(result.frame, name) is not None for name in needed_images(request.look)
+        )
+        if self._is_new(request) or result.samples < request.sample_limit or not has_images:
             result = self._render(request)
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
@@ -194,7 +198,7 @@ class Worker:
             reason = restart_reason(request.scene, self._done.scene)
             if reason:
                 renderer.reset(reason)
-        frame = renderer.render(scene)
+        frame = renderer.render(scene, images=needed_images(request.look) | _STATISTICS)
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
