@@ -66,7 +66,7 @@ class SVGF_PT_cost(_StatisticsPanel, bpy.types.Panel):
         divided = f" (1/{session.divisor})" if session.divisor > 1 else ""
         _row(column, "Resolution", f"{frame.width} x {frame.height}{divided}")
         _row(column, "Samples", f"{result.samples} of {session.sample_limit}")
-        _row(column, "Frames of history", f"{frame.history_length.max():.0f}")
+        _row(column, "Frames of history", f"{result.history:.0f}")
         _row(column, "Estimated error", "unknown" if math.isnan(result.noise) else f"{result.noise:.1%}")
         _row(column, "Device", result.device)
         _write(column, context, f"History restarted {result.frames} frames ago: {result.reset}", "FILE_REFRESH")

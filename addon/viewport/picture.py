@@ -43,7 +43,6 @@ class Overlay:
     number: int
     is_data: bool
     image: Callable[[Frame], np.ndarray]
-    needs: tuple[str, ...] = ("color",)  # the images of a frame that image reads
 
 
 def _depth(frame: Frame) -> np.ndarray:
@@ -120,7 +119,6 @@ OVERLAYS = {
         8,
         False,
         lambda frame: frame.color,
-        ("color", "noisy"),
     ),
     "noisy": Overlay(
         "Noisy Input",
@@ -128,20 +126,18 @@ OVERLAYS = {
         1,
         False,
         lambda frame: frame.noisy,
-        ("noisy",),
     ),
     "albedo": Overlay(
-        "Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo, ("albedo",)
+        "Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo
     ),
-    "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal, ("normal", "object_id")),
-    "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth, ("depth", "object_id")),
+    "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal),
+    "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth),
     "motion": Overlay(
         "Motion",
         "Where surfaces come from, within 16 pixels: red right, green up, grey still",
         5,
         True,
         _motion,
-        ("motion",),
     ),
     "history_length": Overlay(
         "History Length",
@@ -149,7 +145,6 @@ OVERLAYS = {
         6,
         True,
         _history,
-        ("history_length",),
     ),
     "variance": Overlay(
         "Noise Left",
@@ -157,7 +152,6 @@ OVERLAYS = {
         7,
         True,
         _noise,
-        ("variance",),
     ),
     "reset_reason": Overlay(
         "Reset Reason",
@@ -165,7 +159,6 @@ OVERLAYS = {
         9,
         True,
         _reset_reasons,
-        ("object_id", "motion", "history_length"),
     ),
     "bad_values": Overlay(
         "NaN Map",
@@ -173,14 +166,8 @@ OVERLAYS = {
         10,
         True,
         _bad_values,
-        ("noisy", "albedo", "normal", "motion", "depth"),
     ),
 }
-
-
-def needed_images(look: Look) -> frozenset[str]:
-    """The images of a frame that paint reads."""
-    return frozenset(OVERLAYS[look.overlay].needs) | ({"object_id"} if look.transparent else frozenset())
 
 
 def paint(frame: Frame, look: Look) -> np.ndarray:

@@ -19,10 +19,9 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import Look, needed_images, paint
+from .picture import Look, paint
 
 _JOIN_SECONDS = 0.02
-_STATISTICS = frozenset({"color", "variance", "history_length"})  # images that panels tell about
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -54,7 +53,7 @@ class Result:
     number: counts pictures and messages. request: the one that picture answers, as paint makes it. samples: frames
     since the view came to rest. reset: why history was last restarted. frames: frames since then. milliseconds: the
     newest frame, all in all. noise: standard deviation of the picture's luminance as a share of its mean, NaN where
-    unknown. device: the hardware. error: what stops the picture from being renewed. note: what the user should know
+    unknown. history: the longest of a pixel, in frames. device: the hardware. error: what stops the picture from being renewed. note: what the user should know
     besides.
     """
 
@@ -68,6 +67,7 @@ class Result:
     frames: int = 0
     milliseconds: float = 0.0
     noise: float = math.nan
+    history: float = 0.0
     device: str = ""
     error: str = ""
     note: str = ""
@@ -180,10 +180,7 @@ class Worker:
 
     def _serve(self, request: Request) -> None:
         result = self.result
-        has_images = result.frame is not None and all(
-            getattr(result.frame, name) is not None for name in needed_images(request.look)
-        )
-        if self._is_new(request) or result.samples < request.sample_limit or not has_images:
+        if self._is_new(request) or result.samples < request.sample_limit:
             result = self._render(request)
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
@@ -198,7 +195,7 @@ class Worker:
             reason = restart_reason(request.scene, self._done.scene)
             if reason:
                 renderer.reset(reason)
-        frame = renderer.render(scene, images=needed_images(request.look) | _STATISTICS)
+        frame = renderer.render(scene)
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
@@ -211,6 +208,7 @@ class Worker:
             frames=1 if frame.reset else last.frames + 1,
             milliseconds=(time.perf_counter() - start) * 1e3,
             noise=_noise(frame),
+            history=float(frame.history_length.max()),
             device=renderer.device.description,
         )
 
@@ -237,7 +235,7 @@ class Worker:
             self._mean = self._mean + difference / samples
             self._squares = self._squares + (difference @ _LUMINANCE) * ((color - self._mean) @ _LUMINANCE)
         variance = self._squares / max(samples * (samples - 1), 1)
-        return replace(frame, color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
+        return frame.with_images(color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""

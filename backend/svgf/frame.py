@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One finished frame: numpy arrays, row 0 on top, float32 unless said; None for images that were not asked for.
+    """One finished frame: numpy arrays, row 0 on top, float32 unless said.
 
     color: [H, W, 3] denoised linear radiance. noisy: [H, W, 3] what the path tracer saw.
     albedo: [H, W, 3] diffuse plus specular albedo. normal: [H, W, 3] world space, zero on the background.
@@ -22,28 +22,23 @@ class Frame:
     """
 
     frame: int
-    color: np.ndarray | None
-    noisy: np.ndarray | None
-    albedo: np.ndarray | None
-    normal: np.ndarray | None
-    depth: np.ndarray | None
-    motion: np.ndarray | None
-    roughness: np.ndarray | None
-    object_id: np.ndarray | None
-    variance: np.ndarray | None
-    history_length: np.ndarray | None
+    color: np.ndarray
+    noisy: np.ndarray
+    albedo: np.ndarray
+    normal: np.ndarray
+    depth: np.ndarray
+    motion: np.ndarray
+    roughness: np.ndarray
+    object_id: np.ndarray
+    variance: np.ndarray
+    history_length: np.ndarray
     timings: dict[str, float] = field(default_factory=dict)
     reset: str = ""
 
     @property
     def width(self) -> int:
-        return self._size[1]
+        return self.color.shape[1]
 
     @property
     def height(self) -> int:
-        return self._size[0]
-
-    @property
-    def _size(self) -> tuple[int, int]:
-        images = (getattr(self, field.name) for field in fields(self))
-        return next(image.shape for image in images if isinstance(image, np.ndarray))[:2]
+        return self.color.shape[0]

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
-from functools import partial
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -127,17 +126,11 @@ class Renderer:
         """From any thread: the frame that is being rendered raises Interrupted."""
         self.device.interrupt()
 
-    def render(
-        self,
-        scene: Scene,
-        progress: Callable[[float], None] | None = None,
-        images: Collection[str] | None = None,
-    ) -> Frame:
+    def render(self, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
         """Renders the next frame of an animation, or the same scene again with new samples.
 
         scene: history is kept where its frame number follows that of the last call, or where it is the very same scene,
         which then stands still. progress: called with the finished share of the samples, in (0, 1].
-        images: names of the Frame's images to bring to the host, None: all; the others are None.
         Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them the next
         frame starts afresh.
         """
@@ -159,15 +152,15 @@ class Renderer:
             flat = flatten(self._resting if self._repeats else scene, self._uploader.last)
             self._uploader.upload(flat)
             update_ms = (time.perf_counter() - start) * 1e3
-            traced = self._trace(flat, width, height, scene.frame + self._repeats, bounces, progress)
-            denoised = self._denoise(flat, traced, width, height, reset)
+            images = self._trace(flat, width, height, scene.frame + self._repeats, bounces, progress)
+            denoised = self._denoise(flat, images, width, height, reset)
             timings = {"update": update_ms, **self.device.take_timings()}
         except BaseException:
             self.reset("the last frame was not finished")
             self._last_scene = None
             raise
         self._last_scene, self._last_frame, self._reset_reason = scene, scene.frame, ""
-        return self._finish(scene, traced, denoised, exposure, timings, reset, images)
+        return self._finish(scene, images, denoised, exposure, timings, reset)
 
     def _find_reset(self, scene: Scene, width: int, height: int) -> str:
         """Why history cannot go on, or an empty string. Counts how often the same scene came in a row."""
@@ -239,23 +232,27 @@ class Renderer:
         exposure: float,
         timings: dict[str, float],
         reset: str,
-        wanted: Collection[str] | None,
     ) -> Frame:
         def host(image: Any) -> np.ndarray:
             array = image if isinstance(image, np.ndarray) else self.device.to_numpy(image)
             return array if array.dtype == np.int32 else array.astype(np.float32, copy=False)
 
-        factor = np.float32(exposure)
-        make = {
-            "color": lambda: host(denoised["color"]) * factor,
-            "noisy": lambda: sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys())) * factor,
-            "albedo": lambda: host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
-            **{name: partial(host, images[name]) for name in ("normal", "depth", "motion", "roughness", "object_id")},
-            "variance": lambda: host(denoised["variance"]) * factor**2,
-            "history_length": lambda: host(denoised["history_length"]),
-        }
-        found = {name: image() if wanted is None or name in wanted else None for name, image in make.items()}
-        return Frame(frame=scene.frame, **found, timings=timings, reset=reset)
+        noisy = sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys()))
+        return Frame(
+            frame=scene.frame,
+            color=host(denoised["color"]) * np.float32(exposure),
+            noisy=noisy * np.float32(exposure),
+            albedo=host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
+            normal=host(images["normal"]),
+            depth=host(images["depth"]),
+            motion=host(images["motion"]),
+            roughness=host(images["roughness"]),
+            object_id=host(images["object_id"]),
+            variance=host(denoised["variance"]) * np.float32(exposure**2),
+            history_length=host(denoised["history_length"]),
+            timings=timings,
+            reset=reset,
+        )
 
 
 RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
