@@ -9,7 +9,10 @@ from importlib import import_module
 from . import installation
 
 # Properties come first, because the others refer to them.
-_MODULES = ("ui.properties", "session", "viewport.views", "engine", "ui.panels", "ui.culprits", "ui.statistics")
+_MODULES = (
+    *("ui.properties", "session", "viewport.views", "engine"),
+    *("ui.panels", "ui.passes", "ui.culprits", "ui.statistics"),
+)
 
 _unregister: list[Callable[[], None]] = []  # of what is registered
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
@@ -22,6 +22,11 @@ from .textures import TextureCache
 from .world import export_world
 
 _T = TypeVar("_T")
+
+
+def never() -> bool:
+    """Of Exporter.should_stop."""
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +75,14 @@ class Exporter:
 
     The state at the previous frame is that of the last call, whichever frame it was for: ``observe`` takes one in
     without making a scene of it.
+
+    should_stop: is asked before each mesh is read; where it says so, the call raises Interrupted, and is the last one.
     """
 
     def __init__(self) -> None:
         self.counters = ExportCounters()
         self.findings: tuple[Finding, ...] = ()  # of the last call
+        self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
         self._textures = TextureCache()
         self._last: _Snapshot | None = None
@@ -171,7 +179,7 @@ class Exporter:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, findings)
         materials = MaterialTable(self._textures, findings)
-        self._meshes.start_frame(changed)
+        self._meshes.start_frame(self.should_stop, changed)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
         keys = {key: row for row, key in enumerate(placements.keys)}

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
+from svgf.errors import Interrupted
 from svgf.scene import Mesh
 
 from .findings import Findings
@@ -70,15 +71,14 @@ class MeshCache:
 
     def __init__(self) -> None:
         self.reads = 0
-        self._changed: Set[str] | None = None
         self._last: dict[tuple[str, int], _Entry] = {}
         self._by_shape: dict[tuple[int, int, int], list[_Entry]] = {}
         self._now: dict[tuple[str, int], _Entry] = {}
         self._counts: dict[str, int] = {}
 
-    def start_frame(self, changed: Set[str] | None = None) -> None:
+    def start_frame(self, should_stop: Callable[[], bool], changed: Set[str] | None = None) -> None:
         """changed: full names of the objects whose geometry may differ from the last frame's; None: any."""
-        self._changed = changed
+        self._should_stop, self._changed = should_stop, changed
         self._last, self._now, self._counts = self._now, {}, {}
         self._by_shape = {}
         for entry in self._last.values():
@@ -88,6 +88,7 @@ class MeshCache:
         """The triangles of an evaluated mesh object, to be asked once a frame for each mesh. None if it has none.
 
         The very Mesh of the last frame where nothing changed. With previous_positions where the vertices moved.
+        Raises Interrupted where the export should stop.
         """
         # An object owns several meshes where its geometry nodes make instances of meshes.
         name = owner.name_full
@@ -97,6 +98,8 @@ class MeshCache:
         if last is not None and self._changed is not None and name not in self._changed:
             self._now[key] = _at_rest(last)
             return self._now[key].mesh
+        if self._should_stop():
+            raise Interrupted("The export was cancelled.")
         data = owner.to_mesh()
         source = _read(data)
         self.reads += 1

@@ -168,16 +168,6 @@ def draw_overlay_menu(column: bpy.types.UILayout, context: bpy.types.Context) ->
         column.prop(settings, "viewport_split")
 
 
-class SVGF_PT_passes(EnginePanel, bpy.types.Panel):
-    bl_label = "Passes"
-    bl_context = "view_layer"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        for name in ("use_pass_z", "use_pass_normal", "use_pass_vector", "use_pass_object_index"):
-            column.prop(context.view_layer, name)
-
-
 def _list_properties(column: bpy.types.UILayout, owner: bpy.types.bpy_struct, names: tuple[str | None, ...]) -> None:
     """None: a gap."""
     for name in names:
@@ -191,7 +181,7 @@ def _is_everyday(item: Field) -> bool:
 
 _PANELS = (
     *(SVGF_PT_sampling, SVGF_PT_sampling_advanced, SVGF_PT_light_paths, SVGF_PT_film),
-    *(SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_viewport, SVGF_PT_shading_overlay, SVGF_PT_passes),
+    *(SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_viewport, SVGF_PT_shading_overlay),
 )
 
 

@@ -227,27 +227,56 @@ std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_
 void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, HostArray<int32_t> instance_mesh,
                    HostArray<float> object_to_world, HostArray<float> world_to_object,
                    HostArray<float> previous_object_to_world, HostArray<int32_t> object_id,
-                   HostArray<int32_t> material_start, HostArray<int32_t> material_table) {
+                   HostArray<int32_t> material_start, HostArray<int32_t> material_table, HostArray<uint8_t> visibility,
+                   HostArray<int32_t> emitter) {
     const Tracer::Instances instances{span_of(instance_mesh),   span_of(object_to_world), span_of(world_to_object),
                                       span_of(previous_object_to_world), span_of(object_id), span_of(material_start),
-                                      span_of(material_table)};
+                                      span_of(material_table), span_of(visibility), span_of(emitter)};
     nb::gil_scoped_release release;
     tracer.set_instances(std::move(meshes), instances);
 }
 
-void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<float> probability,
-                HostArray<float> cdf, float triangle_light_scale, HostArray<float> world_radiance) {
-    const auto world = fixed_span<3>(world_radiance, "world_radiance");
-    tracer.set_lights({span_of(kind), span_of(data), span_of(probability), span_of(cdf), triangle_light_scale,
-                       {world[0], world[1], world[2]}});
+void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<uint8_t> visibility,
+                HostArray<float> probability, HostArray<float> cdf, HostArray<float> tree,
+                HostArray<int32_t> light_of_leaf, HostArray<int32_t> emitters, HostArray<int32_t> light_of_triangle,
+                HostArray<int32_t> emission_map, HostArray<float> emission_maps) {
+    tracer.set_lights({span_of(kind), span_of(data), span_of(visibility), span_of(probability), span_of(cdf),
+                       span_of(tree), span_of(light_of_leaf), span_of(emitters), span_of(light_of_triangle),
+                       span_of(emission_map), span_of(emission_maps)});
+}
+
+void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
+               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf) {
+    const auto color = fixed_span<3>(radiance, "world_radiance");
+    const auto rotation = fixed_span<9>(to_environment, "world_to_environment");
+    Tracer::World world{.radiance = {color[0], color[1], color[2]},
+                        .visibility = visibility,
+                        .texture = texture,
+                        .light = light,
+                        .row_cdf = span_of(row_cdf),
+                        .column_cdf = span_of(column_cdf)};
+    std::copy(rotation.begin(), rotation.end(), world.to_environment.begin());
+    world.rows = std::max(int(row_cdf.size()) - 1, 0);
+    world.columns = world.rows ? int(column_cdf.size()) / world.rows - 1 : 0;
+    tracer.set_world(world);
 }
 
 void set_camera(Tracer& tracer, HostArray<float> camera_to_world, HostArray<float> previous_camera_to_world,
-                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip) {
+                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip, HostArray<float> lens,
+                HostArray<float> previous_lens) {
     tracer.set_camera({fixed_span<12>(camera_to_world, "camera_to_world"),
                        fixed_span<12>(previous_camera_to_world, "previous_camera_to_world"),
                        fixed_span<4>(window, "window"), fixed_span<4>(previous_window, "previous_window"),
-                       fixed_span<2>(clip, "clip")});
+                       fixed_span<2>(clip, "clip"), fixed_span<6>(lens, "lens"),
+                       fixed_span<6>(previous_lens, "previous_lens")});
+}
+
+// values: the fields of svgf.LightPaths in their order; none: no limits.
+LightPaths read_light_paths(int bounces, const std::vector<double>& values) {
+    if (values.empty()) return {.bounces = bounces};
+    if (values.size() != 9) throw InputError("light_paths must have 9 values.");
+    return {bounces, int(values[0]), int(values[1]), int(values[2]), int(values[3]), values[4] != 0, values[5] != 0,
+            float(values[6]), float(values[7]), float(values[8])};
 }
 
 template <class Choice>
@@ -261,14 +290,16 @@ Choice choose(const std::string& value, const char* what, std::initializer_list<
 }
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
-               uint32_t effects, const std::string& pixel_filter, const std::string& signals) {
+               uint32_t effects, const std::string& pixel_filter, const std::string& signals,
+               const std::vector<double>& light_paths, bool transparent_film) {
     const Tracer::Frame frame{
         .width = width,
         .height = height,
         .sample = sample,
         .samples = samples,
         .seed = seed,
-        .bounces = bounces,
+        .light_paths = read_light_paths(bounces, light_paths),
+        .transparent_film = transparent_film,
         .effects = effects,
         .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
                                             {{"box", PixelFilter::box}, {"center", PixelFilter::center}}),
@@ -428,16 +459,20 @@ NB_MODULE(SVGF_MODULE, module) {
     // Tracer and Denoiser keep the device alive: it is used when they run, and by their buffers until they are gone.
     nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
         .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
-             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a)
+             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a, "visibility"_a,
+             "emitter"_a)
         .def("set_materials", [](Tracer& tracer, HostArray<float> materials, std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), std::move(textures));
         }, "materials"_a, "textures"_a)
-        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
-             "triangle_light_scale"_a, "world_radiance"_a)
+        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
+             "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
+             "emission_maps"_a)
+        .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
+             "row_cdf"_a, "column_cdf"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
-             "previous_window"_a, "clip"_a)
+             "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a);
+             "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false);
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,

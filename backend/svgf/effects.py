@@ -63,7 +63,8 @@ def _world_and_camera_effects(scene: Scene) -> Effects:
         if scene.world.visibility | RayVisibility.SHADOW != RayVisibility.ALL:
             effects |= Effects.RAY_VISIBILITY
     camera, previous = scene.camera, scene.previous_camera
-    if not np.array_equal(camera.camera_to_world, previous.camera_to_world) or camera.window != previous.window:
+    same_view = camera.window == previous.window and camera.projection is previous.projection
+    if not same_view or not np.array_equal(camera.camera_to_world, previous.camera_to_world):
         effects |= Effects.CAMERA_MOTION
     if camera.aperture.radius > 0.0:
         effects |= Effects.DEPTH_OF_FIELD

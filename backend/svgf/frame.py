@@ -18,6 +18,7 @@ class Frame:
     y down, pixels) and expected previous depth minus this depth (metres). roughness: [H, W].
     object_id: int32 [H, W], 0 on the background. variance: [H, W] luminance variance that the filter left over.
     history_length: [H, W] number of frames in the temporal mean.
+    alpha: [H, W] share of the pixel that the scene covers, by which color is multiplied; None if the film is opaque.
     timings: milliseconds per stage. reset: why history was restarted at this frame, empty when it went on.
     """
 
@@ -32,6 +33,7 @@ class Frame:
     object_id: np.ndarray
     variance: np.ndarray
     history_length: np.ndarray
+    alpha: np.ndarray | None = None
     timings: dict[str, float] = field(default_factory=dict)
     reset: str = ""
 

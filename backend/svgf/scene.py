@@ -21,6 +21,8 @@ from enum import Enum, IntEnum, IntFlag
 
 import numpy as np
 
+from .light_paths import LightPaths
+
 
 class Interpolation(IntEnum):
     """How a texture is read between texels."""
@@ -211,36 +213,6 @@ class Camera:
     clip: tuple[float, float] = (0.01, 1000.0)
     projection: Projection = Projection.PERSPECTIVE
     aperture: Aperture = Aperture()
-
-
-@dataclass(frozen=True)
-class LightPaths:
-    """How far light is followed, in Cycles' terms. The defaults cut nothing short and are unbiased.
-
-    diffuse_bounces, glossy_bounces, transmission_bounces: bounces of one kind, >= 0: a path that has made one more
-    finds the light that its last ray runs into, and ends. transparent_bounces: surfaces that a ray goes straight
-    through.
-    reflective_caustics, refractive_caustics: whether light that left a diffuse surface is mirrored or refracted.
-    clamp_direct, clamp_indirect: largest sum of the channels of one contribution, over 3, that comes after no or at
-    least one bounce; 0: any. filter_glossy: roughens surfaces that are seen by rays of a density (per steradian) below
-    this, [0, 10]; 0: never.
-    """
-
-    diffuse_bounces: int = 1024
-    glossy_bounces: int = 1024
-    transmission_bounces: int = 1024
-    transparent_bounces: int = 1024
-    reflective_caustics: bool = True
-    refractive_caustics: bool = True
-    clamp_direct: float = 0.0
-    clamp_indirect: float = 0.0
-    filter_glossy: float = 0.0
-
-    def changes(self, bounces: int) -> bool:
-        """Whether any of it makes a difference to paths of at most so many bounces."""
-        of_a_kind = min(self.diffuse_bounces, self.glossy_bounces, self.transmission_bounces)
-        caustics = self.reflective_caustics and self.refractive_caustics
-        return of_a_kind < bounces or not caustics or max(self.clamp_direct, self.clamp_indirect, self.filter_glossy) > 0
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ import numpy as np
 from .errors import InputError
 from .frame_range import format_frames
 from .io.files import file_error, replacing
+from .light_paths import LightPaths
 from .scene import (
     Aperture,
     Camera,
@@ -44,7 +45,6 @@ from .scene import (
     Interpolation,
     Light,
     LightKind,
-    LightPaths,
     Material,
     Mesh,
     Projection,
@@ -341,7 +341,7 @@ def _member(kind: type[Enum]) -> _Decoder:
 
 def _flags(kind: type[IntFlag]) -> _Decoder:
     def decode(file: SceneFile, field: str, value: Any) -> IntFlag:
-        if type(value) is not int or not 0 <= value <= max(kind):
+        if type(value) is not int or not 0 <= value < 2 * max(kind):
             raise _Malformed(field, f"is {shown(value)}, not a set of flags")
         return kind(value)
 

@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .errors import InputError
+from .light_paths import LIGHT_PATH_RANGES, LightPaths
 from .scene import (
     Aperture,
     Camera,
@@ -24,7 +25,6 @@ from .scene import (
     Interpolation,
     Light,
     LightKind,
-    LightPaths,
     Material,
     Mesh,
     Projection,
@@ -36,16 +36,6 @@ from .scene import (
 )
 
 LARGEST_IMAGE_SIDE = 65536
-# Fields of LightPaths that are numbers, and their ranges (inclusive).
-LIGHT_PATH_RANGES: dict[str, tuple[float, float]] = {
-    "diffuse_bounces": (0, 1024),
-    "glossy_bounces": (0, 1024),
-    "transmission_bounces": (0, 1024),
-    "transparent_bounces": (0, 1024),
-    "clamp_direct": (0.0, 1e6),
-    "clamp_indirect": (0.0, 1e6),
-    "filter_glossy": (0.0, 10.0),
-}
 # Beyond this, products of two numbers leave the range of float32.
 _LARGEST_NUMBER = 1e18
 _INT32_MAX = 2**31 - 1

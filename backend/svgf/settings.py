@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from .errors import InputError
+from .light_paths import LIGHT_PATH_RANGES, LightPaths
 
 METHODS = ("svgf", "eaw", "none")
 SIGNALS = ("diffuse_specular", "direct_indirect")

@@ -45,7 +45,14 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
 
 // Names of the pairs. Those of a path's vertex follow each other; vertex 0 is the first hit.
-enum class SamplePair : std::uint32_t { pixel = 0, direction = 1, lobe_and_roulette = 2, light_point = 3, light = 4 };
+enum class SamplePair : std::uint32_t {
+    pixel = 0,
+    direction = 1,
+    lobe_and_roulette = 2,
+    light_point = 3,
+    light = 4,
+    lens = 0x10000,
+};
 
 // All random numbers of one sample of one pixel.
 struct Sampler {

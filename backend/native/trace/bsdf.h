@@ -42,6 +42,7 @@ struct BsdfSample {
     Vec3 direction;
     BsdfValue weight;  // its pdf is that of the direction
     bool delta = false;
+    std::uint32_t kind = ray_kind::diffuse;  // of the ray that it starts
 };
 
 template <Effects kernel>
@@ -61,7 +62,11 @@ public:
     // Events are chosen first and evaluated in one place, as evaluate() is much code for the instruction cache.
     SVGF_HD BsdfSample sample(Vec2 u, float lobe) const {
         const Event event = choose_event(u, lobe);
-        return event.is_mirror ? finish_mirror(event) : finish(event);
+        BsdfSample result = event.is_mirror ? finish_mirror(event) : finish(event);
+        result.kind = event.side < 0.0f              ? ray_kind::transmission
+                      : lobe < diffuse_probability_ ? ray_kind::diffuse
+                                                    : ray_kind::glossy;
+        return result;
     }
 
 private:

@@ -18,16 +18,18 @@ constexpr float largest_depth_gradient = 1e10f;
 // Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
 constexpr float no_motion = 1e6f;
 
-// The primary ray through image point `point`. Its direction has planar depth 1, so its t is planar and so are the
-// clips.
-SVGF_HD inline Ray primary_ray(const Camera& camera, Vec2 point) {
-    return {camera.position(), camera.direction(point), camera.near_clip, camera.far_clip};
-}
-
 // Where the first ray of a sample goes through pixel (x, y).
 SVGF_HD inline Vec2 pixel_point(int x, int y, const Sampler& sampler, bool box_filter) {
     const Vec2 offset = box_filter ? sampler.pair(SamplePair::pixel) : Vec2{0.5f, 0.5f};
     return {float(x) + offset.x, float(y) + offset.y};
+}
+
+// The first ray of a sample, through image point `point`.
+template <Effects kernel>
+SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler) {
+    if constexpr (covers(kernel, Effects::depth_of_field))
+        if (camera.aperture.radius > 0.0f) return camera.ray_through_lens(point, sampler.pair(SamplePair::lens));
+    return camera.ray(point);
 }
 
 template <Effects kernel>
@@ -55,7 +57,8 @@ struct GbufferStage {
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
         const Sampler sampler(x, y, camera.width, seed, sample);
-        const Ray ray = primary_ray(camera, pixel_point(x, y, sampler, box_filter));
+        const Vec2 point = pixel_point(x, y, sampler, box_filter);
+        const Ray ray = primary_ray<kernel>(camera, point, sampler);
         const Hit hit = find_closest_hit(scene, ray);
         out_hit[i] = hit;
         if (!hit.found()) {
@@ -74,7 +77,7 @@ struct GbufferStage {
         Vec3 motion;
         if (camera_moves || is_moving(scene, hit))
             motion = find_motion(now, previous_camera.project(find_previous_position(scene, hit)));
-        write(i, bsdf.normal, now.depth, find_depth_gradient(ray.direction, now.depth, bsdf.geometric_normal),
+        write(i, bsdf.normal, now.depth, bounded(camera.depth_gradient(point, now.depth, bsdf.geometric_normal)),
               scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
               bsdf.diffuse_albedo, bsdf.specular_albedo, motion);
     }
@@ -85,12 +88,7 @@ private:
         return before.depth > 0.0f && is_finite(motion) ? motion : Vec3{no_motion, no_motion, 0.0f};
     }
 
-    // The ray s d meets the plane n (x - p) = 0 at depth s = n p / n d, so that ds = -s (n dd) / (n d).
-    SVGF_HD Vec2 find_depth_gradient(Vec3 direction, float depth, Vec3 geometric_normal) const {
-        const Vec3 normal = camera.to_camera(geometric_normal);
-        const float scale = -depth / dot(normal, camera.to_camera(direction));
-        const Vec2 gradient{normal.x * ((camera.right - camera.left) / float(camera.width)) * scale,
-                            normal.y * ((camera.bottom - camera.top) / float(camera.height)) * scale};
+    SVGF_HD static Vec2 bounded(Vec2 gradient) {
         const auto bounded = [](float g) {
             return g == g ? clamp(g, -largest_depth_gradient, largest_depth_gradient) : 0.0f;
         };

@@ -23,6 +23,7 @@ struct Ray {
     Vec3 origin;
     Vec3 direction;  // of any length; t counts in it
     float t_min = 0, t_max = infinity;  // both excluded
+    std::uint32_t kind = ray_kind::all;  // sees the instances that have one of its bits
 };
 
 struct Hit {
@@ -212,10 +213,12 @@ SVGF_HD SVGF_NOINLINE inline bool traverse(const SceneView& scene, const Ray& ra
         const std::uint32_t begin = node.first_primitive + WideNode::offset(slot);
         if (instance < 0) {
             // Leaves of the top level hold one instance each.
+            const std::int32_t next = scene.instance_order[begin];
+            const Instance& placed = scene.instances[next];
+            if ((placed.visibility & ray.kind) == 0) continue;
             if (group.slots) stack[stack_size++] = group;
-            instance = scene.instance_order[begin];
+            instance = next;
             instance_floor = stack_size;
-            const Instance& placed = scene.instances[instance];
             const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
             const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
             const MeshView& mesh = scene.meshes[placed.mesh];

@@ -13,12 +13,13 @@
 #include "trace/camera.h"
 #include "trace/gbuffer.h"
 #include "trace/intersect.h"
+#include "trace/light_paths.h"
 #include "trace/lights.h"
 #include "trace/surface.h"
 
 namespace svgf {
 
-// Paths of fewer vertices are never cut short.
+// Paths of fewer bounces are never cut short.
 constexpr int roulette_start = 3;
 
 template <Effects kernel>
@@ -30,7 +31,7 @@ struct PathStage {
     SceneView scene;
     Camera camera;
     std::uint32_t sample, seed;
-    int bounces;
+    LightPaths limits;
     bool box_filter;
     bool splits_direct;   // signals: direct and indirect, else diffuse and specular
     bool first_of_frame;  // overwrites the images, else adds to them
@@ -40,66 +41,119 @@ struct PathStage {
     Vec3* out_emission;
     Vec3* out_first_signal;
     Vec3* out_second_signal;  // null: the first one gets all
+    float* out_alpha;         // null: the film is not transparent
 
     SVGF_HD void operator()(int x, int y) const {
         const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
         Gathered light;
-        trace(sampler, pixel, primary_ray(camera, pixel_point(x, y, sampler, box_filter)), light);
+        trace(sampler, pixel, primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler), light);
         accumulate(out_emission[pixel], light.emission);
         accumulate(out_first_signal[pixel], light.first);
         if (out_second_signal) accumulate(out_second_signal[pixel], light.second);
+        if (out_alpha) accumulate(out_alpha[pixel], light.alpha);
     }
 
 private:
+    static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
+
     struct Gathered {
         Vec3 emission, first, second;
+        float alpha = 1;
     };
 
     // What a path carries from one vertex to the next.
     struct Path {
         Vec3 throughput{1, 1, 1};
         Vec3 diffuse_share{1, 1, 1};  // of all light found after the first vertex
+        Vec3 normal;                  // of the vertex that the ray left
         float pdf = 0;                // of the BSDF sample that the ray follows
+        float smallest_pdf = infinity;  // of those so far
+        std::uint32_t kind = ray_kind::camera;
+        int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
         bool delta = true;
+        bool ends = false;  // the ray only looks for light
     };
 
     SVGF_HD void trace(const Sampler& sampler, int pixel, Ray ray, Gathered& light) const {
         Path path;
         for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(scene, ray);
-            if (vertex == 0)
-                ray.direction = normalize(ray.direction);
-            else
-                add_lamps(path, ray, hit, vertex, light);
-            if (!hit.found()) {
-                if (vertex == 0)
-                    light.emission = scene.world_radiance;
-                else
-                    add(light, path.throughput * scene.world_radiance, path.diffuse_share, vertex);
-                return;
-            }
-            const Surface surface = find_surface(scene, hit);
-            if (max_component(surface.material.emission) > 0.0f) add_emission(path, surface, ray, hit, vertex, light);
-            if (vertex == bounces + 1) return;  // the last ray only looks for light
+            Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(scene, ray);
+            if (vertex == 0) scale_to_unit(ray, hit);
+            if (scene.lights.sized_lamps_seen_by & path.kind) add_lamps(path, ray, hit, light);
+            if (!hit.found()) return add_world(path, ray, light);
+            Surface surface = find_surface(scene, hit);
+            if (max_component(surface.material.emission) > 0.0f) add_emission(path, surface, ray, hit, light);
+            if (path.ends) return;
 
             const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
-            if (vertex >= roulette_start) {
+            if (path.bounces >= roulette_start) {
                 const float survival = min(1.0f, max_component(path.throughput));
                 if (!(lobe_and_roulette.y < survival)) return;
                 path.throughput = path.throughput / survival;
             }
+            if constexpr (has_limits) simplify(path, surface.material);
             const Bsdf<kernel> bsdf(surface, -ray.direction);
-            if (scene.light_count > 0) add_direct_light(sampler, path, surface, bsdf, vertex, light);
+            if (scene.lights.interval_count > 0) add_direct_light(sampler, path, surface, bsdf, vertex, light);
 
-            const BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
-            if (vertex == 0) path.diffuse_share = share_of(next.weight);
+            BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
+            if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.kind == ray_kind::transmission);
+            if (path.bounces == 0) path.diffuse_share = share_of(next.weight);
             path.throughput *= next.weight.total();
             if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return;
-            path.pdf = next.weight.pdf;
-            path.delta = next.delta;
-            ray = {offset_from_surface(surface, next.direction), next.direction};
+            count_bounce(path, next);
+            path.normal = bsdf.normal;
+            ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, next.kind};
         }
+    }
+
+    // Primary rays have planar depth 1; from here on distances are in metres.
+    SVGF_HD static void scale_to_unit(Ray& ray, Hit& hit) {
+        const float scale = length(ray.direction);
+        ray.direction = ray.direction / scale;
+        ray.t_min *= scale;
+        ray.t_max *= scale;
+        hit.t *= scale;
+    }
+
+    // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
+    SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
+        path.pdf = next.weight.pdf;
+        path.delta = next.delta;
+        path.kind = next.kind;
+        path.ends = ++path.bounces > limits.bounces;
+        if constexpr (has_limits) {
+            if (!next.delta) path.smallest_pdf = min(path.smallest_pdf, next.weight.pdf);
+            if (next.kind == ray_kind::diffuse)
+                path.ends |= ++path.diffuse_bounces > limits.diffuse_bounces;
+            else if (next.kind == ray_kind::glossy)
+                path.ends |= ++path.glossy_bounces > limits.glossy_bounces;
+            else
+                path.ends |= ++path.transmission_bounces > limits.transmission_bounces;
+        }
+    }
+
+    // What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow.
+    SVGF_HD void simplify(const Path& path, Material& material) const {
+        if (path.kind == ray_kind::diffuse && !limits.reflective_caustics) material.specular_ior_level = 0.0f;
+        const float density = path.smallest_pdf / limits.filter_glossy;
+        // GGX alpha is the square of roughness.
+        if (density < 1.0f) material.roughness = max(material.roughness, std::sqrt(0.5f * std::sqrt(1.0f - density)));
+    }
+
+    SVGF_HD std::uint32_t allowed_kinds(const Path& path) const {
+        std::uint32_t kinds = ray_kind::all;
+        if constexpr (has_limits) {
+            if (path.kind == ray_kind::diffuse && !limits.reflective_caustics) kinds &= ~ray_kind::glossy;
+            if (path.kind == ray_kind::diffuse && !limits.refractive_caustics) kinds &= ~ray_kind::transmission;
+        }
+        return kinds;
+    }
+
+    // Leaves of a value what these kinds of rays carry. below: the direction is on the other side of the surface.
+    SVGF_HD static void keep(BsdfValue& value, std::uint32_t kinds, bool below) {
+        if (!(kinds & (below ? ray_kind::transmission : ray_kind::diffuse))) value.diffuse = {};
+        if (!(kinds & (below ? ray_kind::transmission : ray_kind::glossy))) value.specular = {};
     }
 
     SVGF_HD Vec3 share_of(const BsdfValue& value) const {
@@ -107,11 +161,18 @@ private:
         return {1, 1, 1};
     }
 
-    // edges: rays from the first hit to the light. A value that is not finite is dropped.
-    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int edges) const {
+    // bounces: between the camera and the light. A value that is not finite is dropped.
+    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces) const {
         if (!is_finite(value)) return;
-        if (splits_direct) {
-            (edges == 1 ? light.first : light.second) += value;
+        if constexpr (has_limits) {
+            const float limit = 3.0f * (bounces > 1 ? limits.clamp_indirect : limits.clamp_direct);
+            const float sum = value.x + value.y + value.z;
+            if (limit > 0.0f && sum > limit) value *= limit / sum;
+        }
+        if (bounces == 0) {
+            light.emission += value;
+        } else if (splits_direct) {
+            (bounces == 1 ? light.first : light.second) += value;
         } else if (covers(kernel, Effects::specular) && out_second_signal) {
             light.first += diffuse_share * value;
             light.second += (1.0f - diffuse_share) * value;
@@ -120,49 +181,78 @@ private:
         }
     }
 
-    // Weight of light that the ray ran into; a mirror direction is found in no other way.
-    SVGF_HD static float hit_weight(const Path& path, float light_pdf) {
-        return path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf);
+    // Light that the ray of a path ran into. light_pdf: with which it would have been sampled; not asked for a mirror
+    // direction, which is found in no other way.
+    template <class LightPdf>
+    SVGF_HD void add_found(Gathered& light, const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
+        const float weight = path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf());
+        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces);
     }
 
-    // Lamps stop no ray: all that are crossed before the hit shine. Primary rays do not see them.
-    SVGF_HD void add_lamps(const Path& path, const Ray& ray, const Hit& hit, int vertex, Gathered& light) const {
-        if (scene.sized_lamp_count == 0) return;
-        for (int i = 0; i < scene.lamp_count; ++i) {
+    // Lamps stop no ray: all that are crossed before the hit shine.
+    SVGF_HD void add_lamps(const Path& path, const Ray& ray, const Hit& hit, Gathered& light) const {
+        for (int i = 0; i < scene.lights.lamp_count; ++i) {
+            const Light& lamp = scene.lights.rows[i];
             Vec3 radiance;
             float pdf;
-            if (cross_lamp(scene.lights[i], ray.origin, ray.direction, hit.t, radiance, pdf))
-                add(light, path.throughput * radiance * hit_weight(path, pdf), path.diffuse_share, vertex);
+            if (!(lamp.visibility & path.kind)) continue;
+            if (cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, hit.t, radiance, pdf))
+                add_found(light, path, radiance, [&] {
+                    return pdf * choice_probability<kernel>(scene.lights, lamp, ray.origin, path.normal);
+                });
         }
     }
 
-    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Ray& ray, const Hit& hit, int vertex,
-                              Gathered& light) const {
-        const Vec3 emission = surface.material.emission;
-        if (vertex == 0) {
-            light.emission = emission;
+    SVGF_HD void add_world(const Path& path, const Ray& ray, Gathered& light) const {
+        if (out_alpha && path.bounces == 0) {
+            light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
             return;
         }
-        const float pdf = triangle_density(scene, emission, hit.t, dot(surface.geometric_normal, ray.direction));
-        add(light, path.throughput * emission * hit_weight(path, pdf), path.diffuse_share, vertex);
+        if (!(scene.world.visibility & path.kind)) return;
+        if constexpr (covers(kernel, Effects::environment_map)) {
+            const std::int32_t row = scene.world.light;
+            add_found(light, path, environment_radiance(scene, ray.direction), [&] {
+                return row < 0 ? 0.0f
+                               : scene.lights.rows[row].probability * environment_density(scene.world, ray.direction);
+            });
+        } else {
+            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces);
+        }
+    }
+
+    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Ray& ray, const Hit& hit,
+                              Gathered& light) const {
+        add_found(light, path, surface.material.emission, [&] {
+            const Light* row = find_light(scene, hit);
+            if (!row) return 0.0f;
+            const float cosine = dot(surface.geometric_normal, ray.direction);
+            return triangle_density(*row, hit.t, cosine) *
+                   choice_probability<kernel>(scene.lights, *row, ray.origin, path.normal);
+        });
     }
 
     SVGF_HD void add_direct_light(const Sampler& sampler, const Path& path, const Surface& surface,
                                   const Bsdf<kernel>& bsdf, int vertex, Gathered& light) const {
-        const int index = choose_light(scene, sampler.pair(SamplePair::light, vertex).x);
-        const LightSample found = sample_light(scene.lights[index], surface.position,
-                                               sampler.pair(SamplePair::light_point, vertex));
+        const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.normal,
+                                                        sampler.pair(SamplePair::light, vertex));
+        if (choice.index < 0) return;
+        const Light& row = scene.lights.rows[choice.index];
+        const LightSample found = sample_light<kernel>(scene, row, choice.probability, surface.position,
+                                                       sampler.pair(SamplePair::light_point, vertex));
         if (!(found.pdf > 0.0f)) return;
-        const BsdfValue value = bsdf.evaluate(found.direction);
+        BsdfValue value = bsdf.evaluate(found.direction);
+        if constexpr (has_limits || covers(kernel, Effects::ray_visibility))
+            keep(value, row.visibility & allowed_kinds(path), dot(bsdf.geometric_normal, found.direction) < 0.0f);
         const float mis = found.delta ? 1.0f : power_heuristic(found.pdf, value.pdf);
         const Vec3 arriving = path.throughput * value.total() * found.radiance * (mis / found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
         const Vec3 origin = offset_from_surface(surface, found.direction);
-        if (is_occluded(scene, {origin, found.direction, 0.0f, found.distance * shadow_ray_end})) return;
-        add(light, arriving, vertex == 0 ? share_of(value) : path.diffuse_share, vertex + 1);
+        if (is_occluded(scene, {origin, found.direction, 0.0f, found.distance * shadow_ray_end, ray_kind::shadow})) return;
+        add(light, arriving, path.bounces == 0 ? share_of(value) : path.diffuse_share, path.bounces + 1);
     }
 
-    SVGF_HD void accumulate(Vec3& out, Vec3 value) const {
+    template <class Value>
+    SVGF_HD void accumulate(Value& out, Value value) const {
         out = first_of_frame ? value * weight : out + value * weight;
     }
 };

@@ -124,6 +124,8 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
            "Each instance needs three transforms of 3 x 4.");
     expect(arrays.object_id.size() == count && arrays.material_start.size() == count,
            "Each instance needs an object id and a material start.");
+    expect(arrays.visibility.size() == count && arrays.emitter.size() == count,
+           "Each instance needs a visibility and an emitter.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 instances.");
 
     std::vector<Instance> instances(count);
@@ -141,7 +143,8 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
             placements[i] = {with_centre(matrix_at(arrays.object_to_world, i), mesh.centre()),
                              with_centre(matrix_at(arrays.previous_object_to_world, i), mesh.centre())};
             instances[i] = {inverse_of(placements[i].object_to_world, matrix_at(arrays.world_to_object, i)),
-                            arrays.mesh[i], arrays.object_id[i], arrays.material_start[i]};
+                            arrays.mesh[i], arrays.object_id[i], arrays.material_start[i], arrays.visibility[i],
+                            std::uint32_t(arrays.emitter[i] + 1)};
             boxes[i] = instance_bounds(mesh.bounds(), placements[i].object_to_world, instances[i].world_to_object);
         }
     });
@@ -149,6 +152,12 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     for (const std::int32_t material : arrays.material_table) {
         expect(material >= 0, "The material table names a material that is not there.");
         largest_material_ = std::max(largest_material_, material);
+    }
+
+    largest_emitter_ = -1;
+    for (const std::int32_t emitter : arrays.emitter) {
+        expect(emitter >= -1 && emitter < (1 << 24) - 1, "An instance names an emitter that is not there.");
+        largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
     const Bvh bvh = build_bvh(boxes, 1);
@@ -188,51 +197,120 @@ void Tracer::set_materials(std::span<const float> materials, std::vector<std::sh
 
 void Tracer::set_lights(const Lights& arrays) {
     const std::size_t count = arrays.kind.size();
-    expect(arrays.data.size() == 24 * count && arrays.probability.size() == count,
-           "Each light needs 24 values and a probability.");
-    expect(arrays.cdf.size() == count + 1 || count == 0, "The lights' cdf must be [L + 1].");
+    expect(arrays.data.size() == 24 * count && arrays.probability.size() == count &&
+               arrays.visibility.size() == count && arrays.emission_map.size() == count,
+           "Each light needs 24 values, a probability, a visibility and an emission map.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 lights.");
-    std::vector<Light> lights = rows_of<Light>(arrays.data);
-    scene_.lamp_count = scene_.sized_lamp_count = 0;
+    const std::size_t leaves = arrays.light_of_leaf.size(), maps = arrays.emission_maps.size() / 8;
+    expect(leaves == 0 ? arrays.tree.empty() : arrays.tree.size() == 12 * (2 * leaves - 1) && !(leaves & (leaves - 1)),
+           "The light tree must have 2^n leaves and 2^(n + 1) - 1 nodes of 12 values.");
+    std::vector<Light> lights(count);
+    LightsView view;
+    largest_texture_ = -1;
     for (std::size_t i = 0; i < count; ++i) {
         Light& light = lights[i];
+        std::memcpy(static_cast<void*>(&light), arrays.data.data() + 24 * i, 24 * sizeof(float));
         light.kind = LightKind(arrays.kind[i]);
+        light.visibility = arrays.visibility[i];
         light.probability = arrays.probability[i];
+        light.emission_map = arrays.emission_map[i];
+        light.leaf = -1;
         light.radiance = cleaned_color(light.radiance);
-        expect(light.kind >= LightKind::point && light.kind <= LightKind::triangle, "Unknown kind of light.");
+        expect(light.kind >= LightKind::point && light.kind <= LightKind::environment, "Unknown kind of light.");
+        expect(light.emission_map >= -1 && light.emission_map < std::int32_t(maps),
+               "A light names an emission map that is not there.");
         if (light.kind == LightKind::triangle) continue;
-        expect(std::size_t(scene_.lamp_count) == i, "Lamps must come before triangles.");
-        ++scene_.lamp_count;
-        if (light.is_delta == 0.0f) ++scene_.sized_lamp_count;
+        expect(std::size_t(view.lamp_count) == i, "Lamps must come before triangles.");
+        ++view.lamp_count;
+        if (light.is_delta == 0.0f && light.kind != LightKind::environment) view.sized_lamps_seen_by |= light.visibility;
+    }
+    for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
+        const std::int32_t light = arrays.light_of_leaf[leaf];
+        expect(light >= -1 && light < std::int32_t(count), "The light tree names a light that is not there.");
+        if (light >= 0) lights[std::size_t(light)].leaf = std::int32_t(leaf);
+    }
+    std::vector<Emitter> emitters(arrays.emitters.size() / 2);
+    for (std::size_t i = 0; i < emitters.size(); ++i) {
+        emitters[i] = {arrays.emitters[2 * i], arrays.emitters[2 * i + 1]};
+        expect(emitters[i].first_light >= 0 && emitters[i].table >= 0, "An emitter starts before the first light.");
+    }
+    std::vector<EmissionMap> emission_maps(maps);
+    for (std::size_t i = 0; i < maps; ++i) {
+        const float* row = arrays.emission_maps.data() + 8 * i;
+        emission_maps[i] = {{{row[0], row[1]}, {row[2], row[3]}, {row[4], row[5]}}, std::int32_t(row[6]), 0};
+        expect(emission_maps[i].texture >= 0, "A light names a texture that is not there.");
+        largest_texture_ = std::max(largest_texture_, emission_maps[i].texture);
     }
     lights_ = Buffer<Light>(device_, std::span<const Light>(lights), "lights");
     light_cdf_ = Buffer<float>(device_, arrays.cdf, "lights");
-    scene_.lights = lights_.data();
-    scene_.light_cdf = light_cdf_.data();
-    scene_.light_count = std::int32_t(count);
-    scene_.triangle_light_scale = is_finite(arrays.triangle_light_scale) ? arrays.triangle_light_scale : 0.0f;
-    scene_.world_radiance = cleaned_color(
-        {arrays.world_radiance[0], arrays.world_radiance[1], arrays.world_radiance[2]});
+    const std::vector<LightNode> nodes = rows_of<LightNode>(arrays.tree);
+    light_tree_ = Buffer<LightNode>(device_, std::span<const LightNode>(nodes), "the light tree");
+    light_of_leaf_ = Buffer<std::int32_t>(device_, arrays.light_of_leaf, "the light tree");
+    emitters_ = Buffer<Emitter>(device_, std::span<const Emitter>(emitters), "lights");
+    light_of_triangle_ = Buffer<std::int32_t>(device_, arrays.light_of_triangle, "lights");
+    emission_maps_ = Buffer<EmissionMap>(device_, std::span<const EmissionMap>(emission_maps), "lights");
+    view.rows = lights_.data();
+    view.count = std::int32_t(count);
+    view.cdf = light_cdf_.data();
+    view.interval_count = std::max(std::int32_t(arrays.cdf.size()) - 1, 0);
+    view.nodes = leaves ? light_tree_.data() : nullptr;
+    view.light_of_leaf = light_of_leaf_.data();
+    for (std::size_t n = leaves; n > 1; n /= 2) ++view.tree_depth;
+    view.emitters = emitters_.data();
+    view.light_of_triangle = light_of_triangle_.data();
+    view.emission_maps = emission_maps_.data();
+    expect(std::size_t(view.interval_count) <= count + (leaves ? 1 : 0), "The lights' cdf has too many intervals.");
+    scene_.lights = view;
+}
+
+void Tracer::set_world(const World& arrays) {
+    WorldView view;
+    view.radiance = cleaned_color({arrays.radiance[0], arrays.radiance[1], arrays.radiance[2]});
+    view.visibility = arrays.visibility;
+    view.texture = std::max(arrays.texture, -1);
+    view.light = arrays.light;
+    for (int row = 0; row < 3; ++row)
+        view.to_environment[row] = {arrays.to_environment[std::size_t(3 * row)],
+                                    arrays.to_environment[std::size_t(3 * row + 1)],
+                                    arrays.to_environment[std::size_t(3 * row + 2)]};
+    const std::size_t rows = std::size_t(std::max(arrays.rows, 0)), columns = std::size_t(std::max(arrays.columns, 0));
+    expect(rows == 0 || (arrays.row_cdf.size() == rows + 1 && arrays.column_cdf.size() == rows * (columns + 1)),
+           "The environment's cdfs must be [rows + 1] and [rows, columns + 1].");
+    row_cdf_ = Buffer<float>(device_, arrays.row_cdf, "the environment");
+    column_cdf_ = Buffer<float>(device_, arrays.column_cdf, "the environment");
+    view.row_cdf = row_cdf_.data();
+    view.column_cdf = column_cdf_.data();
+    view.rows = std::int32_t(rows);
+    view.columns = std::int32_t(columns);
+    scene_.world = view;
 }
 
 void Tracer::set_camera(const Cameras& arrays) {
-    const auto camera = [&](std::span<const float, 12> to_world, std::span<const float, 4> window) {
+    const auto camera = [&](std::span<const float, 12> to_world, std::span<const float, 4> window,
+                            std::span<const float, 6> lens) {
         return Camera{.to_world = matrix_at(to_world, 0),
                       .left = window[0],
                       .right = window[1],
                       .bottom = window[2],
                       .top = window[3],
                       .near_clip = arrays.clip[0],
-                      .far_clip = arrays.clip[1]};
+                      .far_clip = arrays.clip[1],
+                      .is_orthographic = lens[0] != 0.0f,
+                      .aperture = {lens[1], lens[2], lens[3], lens[4], lens[5]}};
     };
-    camera_ = camera(arrays.camera_to_world, arrays.window);
-    previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window);
+    camera_ = camera(arrays.camera_to_world, arrays.window, arrays.lens);
+    previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window, arrays.previous_lens);
 }
 
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
-    expect(frame.samples >= 1 && frame.bounces >= 0, "There must be at least one sample, and no negative bounces.");
+    expect(frame.samples >= 1 && frame.light_paths.bounces >= 0,
+           "There must be at least one sample, and no negative bounces.");
+    expect(std::size_t(largest_emitter_ + 1) <= emitters_.size(), "An instance names an emitter that is not there.");
+    expect(scene_.world.light < scene_.lights.count, "The world names a light that is not there.");
+    expect(std::size_t(std::max(largest_texture_, scene_.world.texture) + 1) <= textures_.size(),
+           "A light or the world names a texture that is not there.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
     return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
@@ -287,7 +365,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .camera = camera_,
         .sample = frame.sample,
         .seed = frame.seed,
-        .bounces = frame.bounces,
+        .limits = frame.light_paths,
         .box_filter = box_filter,
         .splits_direct = splits_direct,
         .first_of_frame = true,
@@ -296,13 +374,15 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_emission = vectors("emission"),
         .out_first_signal = vectors(splits_direct ? "direct" : "diffuse"),
         .out_second_signal = two_signals ? vectors(splits_direct ? "indirect" : "specular") : nullptr,
+        .out_alpha = frame.transparent_film ? floats("alpha", 1) : nullptr,
     };
+    // With a lens each sample has a ray of its own even through the middle of the pixel.
+    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;
     for (int i = 0; i < frame.samples; ++i) {
         device_.launch("path", frame.width, frame.height, path);
         ++path.sample;
         path.first_of_frame = false;
-        // Through the pixels' centres all samples start with the same ray.
-        if (box_filter) path.in_hit = nullptr;
+        if (!same_rays) path.in_hit = nullptr;
     }
     return images;
 }

@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..scene import RayVisibility
 from .sampling import cosine_hemisphere, to_local, to_world
 from .vec import dot, flip_towards, luminance, normalize
 
@@ -249,6 +250,7 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 @dataclass
 class BsdfSample:
     """direction: [n, 3] unit. diffuse, specular: [n, 3], lobe value times |cosine| over pdf. pdf: [n], 0 where delta.
+    kind: [n], bit of RayVisibility of the ray that starts here.
 
     Both values are zero where the direction is on the wrong side of the surface, and where the material is black.
     """
@@ -258,6 +260,7 @@ class BsdfSample:
     specular: np.ndarray
     pdf: np.ndarray
     delta: np.ndarray
+    kind: np.ndarray
 
 
 def sample(bsdf: Bsdf, uv: np.ndarray, lobe: np.ndarray) -> BsdfSample:
@@ -302,4 +305,6 @@ def sample(bsdf: Bsdf, uv: np.ndarray, lobe: np.ndarray) -> BsdfSample:
         glass = (bsdf.glass / bsdf.glass_probability)[:, None] * through
         weight = np.where(choose_glass[:, None], glass, coat_and_metal / bsdf.specular_probability[:, None])
     specular = np.where((passes & delta)[:, None], weight, specular)
-    return BsdfSample(light, diffuse, specular, np.where(delta | ~found, 0.0, pdf), delta)
+    reflected = np.where(choose_diffuse, int(RayVisibility.DIFFUSE), int(RayVisibility.GLOSSY))
+    kind = np.where(choose_refraction, int(RayVisibility.TRANSMISSION), reflected)
+    return BsdfSample(light, diffuse, specular, np.where(delta | ~found, 0.0, pdf), delta, kind)

@@ -8,7 +8,7 @@ import numpy as np
 from .camera import Camera
 from .intersect import Hits
 from .surface import SceneView, surface_at
-from .vec import dot, normalize
+from .vec import normalize
 
 BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
@@ -39,17 +39,25 @@ def trace_gbuffer(
     depth = camera.depth(surface.position)
     images["normal"][found] = bsdf.normal
     images["depth"][found] = depth
-    images["depth_gradient"][found] = depth_gradient(camera, direction[found], depth, bsdf.geometric_normal)
+    gradient = camera.depth_gradient(point[found], depth, bsdf.geometric_normal)
+    images["depth_gradient"][found] = np.clip(np.nan_to_num(gradient, nan=0.0), -LARGEST_GRADIENT, LARGEST_GRADIENT)
     images["object_id"][found] = surface.object_id
     images["material_id"][found] = surface.material + 1
     images["roughness"][found] = bsdf.roughness
     images["diffuse_albedo"][found] = bsdf.diffuse_albedo
     images["specular_albedo"][found] = bsdf.specular_albedo
 
-    # The background is infinitely far: only the camera's rotation moves it.
-    seen_before = direction.copy()
+    # The background is infinitely far: only the camera's rotation moves it, and parallel rays all see the same of it.
+    seen_before, now = direction.copy(), point.copy()
     seen_before[found] = surface.previous_position - previous_camera.to_world[:, 3]
-    images["motion"] = motion(previous_camera, point, seen_before)
+    if camera.has_aperture:
+        # A point out of focus is seen from elsewhere than where it is.
+        now[found] = camera.project(surface.position - camera.to_world[:, 3])[0]
+        missed = ~hits.found
+        now[missed] = camera.project(direction[missed])[0]
+    images["motion"] = motion(previous_camera, now, seen_before)
+    if previous_camera.is_orthographic:
+        images["motion"][~hits.found, :2] = 0.0
     visible = images["motion"][:, 0] != NO_MOTION
     images["motion"][:, 2] -= images["depth"]
     images["motion"][~visible, 2] = 0.0
@@ -60,20 +68,6 @@ def trace_gbuffer(
         still[found] = (surface.previous_position == surface.position).all(axis=1)
         images["motion"][still] = 0.0
     return images
-
-
-def depth_gradient(
-    camera: Camera, direction: np.ndarray, depth: np.ndarray, geometric_normal: np.ndarray
-) -> np.ndarray:
-    """Derivatives [n, 2] of the depth of the hit's plane by the image point.
-
-    The ray s d meets the plane n (x - p) = 0 at depth s = n p / n d, so ds = -s (n dd) / (n d).
-    """
-    normal = camera.to_camera(geometric_normal)
-    across = dot(normal, camera.to_camera(direction))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gradient = np.stack([-depth * (normal @ step) / across for step in camera.pixel_steps()], axis=1)
-    return np.clip(np.nan_to_num(gradient, nan=0.0), -LARGEST_GRADIENT, LARGEST_GRADIENT)
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

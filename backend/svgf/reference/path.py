@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .bsdf import Bsdf, evaluate, sample
 from .intersect import SHADOW_END, Hits, offset_origin
 from .sampling import direction_pair, light_choice_pair, light_point_pair, lobe_pair, power_heuristic, random_pair
@@ -19,42 +21,60 @@ from .vec import normalize
 
 ROULETTE_START = 3
 
+_KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)
+
 
 @dataclass
 class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
-    that the ray follows. share: [n, 3], of the light to come that belongs to the diffuse signal."""
+    that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
+    signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray only
+    looks for light. t_min: [n], where the ray starts to look."""
 
     pixel: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     throughput: np.ndarray
     pdf: np.ndarray
+    smallest_pdf: np.ndarray
     delta: np.ndarray
     share: np.ndarray
+    normal: np.ndarray
+    kind: np.ndarray
+    bounces: np.ndarray
+    ends: np.ndarray
+    t_min: np.ndarray
 
     def rows(self, chosen: np.ndarray) -> Paths:
         return Paths(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 
 class Signals:
-    """Sums of light per pixel: emission, and two signals. split: "diffuse_specular" or "direct_indirect"."""
+    """Sums of light per pixel: emission, and two signals. split: "diffuse_specular" or "direct_indirect". With a
+    transparent film, alpha too."""
 
-    def __init__(self, count: int, split: str, has_specular: bool) -> None:
+    def __init__(self, count: int, split: str, has_specular: bool, limits: LightPaths, transparent_film: bool) -> None:
         self.images = {name: np.zeros((count, 3)) for name in ("emission", *split.split("_"))}
         self._first, self._second = split.split("_")
         self._has_specular = has_specular
+        self._limits = limits
+        self.transparent_film = transparent_film
         if split == "diffuse_specular" and not has_specular:
             del self.images["specular"]
+        if transparent_film:
+            self.images["alpha"] = np.zeros(count)
 
-    def add_emission(self, pixel: np.ndarray, value: np.ndarray) -> None:
-        self.images["emission"][pixel] += value
-
-    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, edges: int) -> None:
-        """edges: rays between the first hit and the light. share: see Paths."""
+    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: int) -> None:
+        """bounces: between the camera and the light. share: see Paths."""
         value = np.where(np.isfinite(value), value, 0.0)
-        if self._first == "direct":
-            self.images[self._first if edges == 1 else self._second][pixel] += value
+        limit = 3.0 * (self._limits.clamp_indirect if bounces > 1 else self._limits.clamp_direct)
+        if limit > 0.0:
+            with np.errstate(divide="ignore"):
+                value = value * np.minimum(1.0, limit / value.sum(axis=1))[:, None]
+        if bounces == 0:
+            self.images["emission"][pixel] += value
+        elif self._first == "direct":
+            self.images[self._first if bounces == 1 else self._second][pixel] += value
         elif self._has_specular:
             self.images["diffuse"][pixel] += share * value
             self.images["specular"][pixel] += (1.0 - share) * value
@@ -68,26 +88,39 @@ def trace_paths(
     keys: np.ndarray,
     sample_number: int,
     bounces: int,
+    limits: LightPaths,
+    origin: np.ndarray,
     direction: np.ndarray,
+    near: float,
     hits: Hits,
 ) -> None:
-    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. direction, hits: the primary rays and what
-    they hit."""
+    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction, hits: the primary rays, of
+    planar depth 1, which start at planar depth near, and what they hit."""
     count = len(direction)
+    length = np.sqrt((direction**2).sum(axis=1))
+    hits.t = hits.t * length
     paths = Paths(
         pixel=np.arange(count),
-        origin=np.zeros((count, 3)),  # of the primary rays: not needed, they were traced
+        origin=origin,
         direction=normalize(direction),
         throughput=np.ones((count, 3)),
         pdf=np.zeros(count),
+        smallest_pdf=np.full(count, np.inf),
         delta=np.ones(count, dtype=bool),
         share=np.zeros((count, 3)),
+        normal=np.zeros((count, 3)),
+        kind=np.full(count, int(RayVisibility.CAMERA)),
+        bounces=np.zeros((count, 3), dtype=np.int64),
+        ends=np.zeros(count, dtype=bool),
+        t_min=near * length,
     )
+    if signals.transparent_film:
+        signals.images["alpha"] += 1.0
     for vertex in range(bounces + 2):
         if vertex:
             far = np.full(len(paths.pixel), np.inf)
-            hits = scene.shapes.closest(paths.origin, paths.direction, np.zeros_like(far), far)
-            _add_lamps(scene, signals, paths, hits, vertex)
+            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, far, paths.kind)
+        _add_lamps(scene, signals, paths, hits, vertex)
         _add_world(scene, signals, paths.rows(~hits.found), vertex)
         found = np.flatnonzero(hits.found)
         paths, t = paths.rows(found), hits.t[found]
@@ -95,34 +128,75 @@ def trace_paths(
             return
         surface = surface_at(scene, hits, found)
         _add_emission(scene, signals, paths, surface, t, vertex)
-        if vertex == bounces + 1:
-            return
 
         lobe_and_roulette = random_pair(keys[paths.pixel], lobe_pair(vertex), sample_number)
-        bsdf = surface.bsdf(-paths.direction)
-        if vertex >= ROULETTE_START:
-            survival = np.minimum(1.0, paths.throughput.max(axis=1))
-            alive = lobe_and_roulette[:, 1] < survival
-            paths, bsdf, lobe_and_roulette = paths.rows(alive), bsdf.rows(alive), lobe_and_roulette[alive]
-            position, magnitude = surface.position[alive], surface.magnitude[alive]
-            paths.throughput = paths.throughput / survival[alive][:, None]
-        else:
-            position, magnitude = surface.position, surface.magnitude
+        survival = np.minimum(1.0, paths.throughput.max(axis=1)) if vertex >= ROULETTE_START else np.ones(len(found))
+        alive = ~paths.ends & (lobe_and_roulette[:, 1] < survival)
+        _simplify(surface, paths, limits)
+        bsdf = surface.bsdf(-paths.direction).rows(alive)
+        paths, lobe_and_roulette = paths.rows(alive), lobe_and_roulette[alive]
+        position, magnitude = surface.position[alive], surface.magnitude[alive]
+        paths.throughput = paths.throughput / survival[alive][:, None]
+        if not len(paths.pixel):
+            return
 
-        if len(scene.lights):
-            light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)[:, 0]
+        allowed = _allowed_kinds(paths, limits)
+        if scene.lights.intervals:
+            light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
             light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
-            _add_direct_light(scene, signals, paths, bsdf, position, magnitude, light_choice, light_point, vertex)
+            _add_direct_light(
+                scene, signals, paths, bsdf, position, magnitude, allowed, light_choice, light_point, vertex
+            )
 
         next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
         found = sample(bsdf, next_direction, lobe_and_roulette[:, 0])
-        value = found.diffuse + found.specular
+        below = found.kind == RayVisibility.TRANSMISSION
+        diffuse, specular = _kept(found.diffuse, found.specular, allowed, below)
+        value = diffuse + specular
         if vertex == 0:
-            paths.share = _share(found.diffuse, value)
+            paths.share = _share(diffuse, value)
         paths.throughput = paths.throughput * value
-        paths.direction, paths.pdf, paths.delta = found.direction, found.pdf, found.delta
+        paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, found.kind
+        paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
+        paths.normal = bsdf.normal
         paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
+        paths.t_min = np.zeros(len(position))
+        paths.bounces = paths.bounces + (found.kind[:, None] == np.array(_KINDS))
+        of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
+        paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (vertex + 1 > bounces)
         paths = paths.rows(paths.throughput.max(axis=1) > 0.0)
+
+
+def _simplify(surface: Surface, paths: Paths, limits: LightPaths) -> None:
+    """What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow."""
+    if not limits.reflective_caustics:
+        surface.rows[paths.kind == RayVisibility.DIFFUSE, 8] = 0.0
+    if limits.filter_glossy > 0.0:
+        density = np.minimum(paths.smallest_pdf / limits.filter_glossy, 1.0)
+        # GGX alpha is the square of roughness.
+        surface.rows[:, 5] = np.maximum(surface.rows[:, 5], np.sqrt(0.5 * np.sqrt(1.0 - density)))
+
+
+def _allowed_kinds(paths: Paths, limits: LightPaths) -> np.ndarray:
+    """[n] bits of RayVisibility: the rays that may leave the next surface."""
+    without = RayVisibility.NONE
+    if not limits.reflective_caustics:
+        without |= RayVisibility.GLOSSY
+    if not limits.refractive_caustics:
+        without |= RayVisibility.TRANSMISSION
+    every = int(RayVisibility.ALL)
+    return np.where(paths.kind == RayVisibility.DIFFUSE, every & ~int(without), every)
+
+
+def _kept(
+    diffuse: np.ndarray, specular: np.ndarray, kinds: np.ndarray, below: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What of BSDF values [n, 3] rays of these kinds carry. below: directions to the other side of the surface."""
+
+    def has(above: RayVisibility) -> np.ndarray:
+        return (kinds & np.where(below, int(RayVisibility.TRANSMISSION), int(above)) != 0)[:, None]
+
+    return np.where(has(RayVisibility.DIFFUSE), diffuse, 0.0), np.where(has(RayVisibility.GLOSSY), specular, 0.0)
 
 
 def _share(diffuse: np.ndarray, total: np.ndarray) -> np.ndarray:
@@ -135,31 +209,37 @@ def _hit_weight(paths: Paths, light_pdf: np.ndarray) -> np.ndarray:
 
 
 def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits, vertex: int) -> None:
-    """Lamps stop no ray: all that are crossed before the hit shine. Primary rays do not see them."""
-    for rows, radiance, pdf in scene.lights.crossed_lamps(paths.origin, paths.direction, hits.t):
-        crossing = paths.rows(rows)
+    """Lamps stop no ray: all that are crossed before the hit shine."""
+    lights = scene.lights
+    for light, rows, radiance, pdf in lights.crossed_lamps(paths.origin, paths.direction, hits.t, paths.t_min):
+        sees = paths.kind[rows] & lights.visibility[light] != 0
+        crossing, radiance, pdf = paths.rows(rows[sees]), radiance[sees], pdf[sees]
+        pdf = pdf * lights.choice_probability(np.full(len(pdf), light), crossing.origin, crossing.normal)
         value = crossing.throughput * radiance * _hit_weight(crossing, pdf)
-        signals.add(crossing.pixel, value, crossing.share, edges=vertex)
+        signals.add(crossing.pixel, value, crossing.share, vertex)
 
 
 def _add_world(scene: SceneView, signals: Signals, paths: Paths, vertex: int) -> None:
-    value = paths.throughput * scene.lights.world_radiance
-    if vertex == 0:
-        signals.add_emission(paths.pixel, value)
-    else:
-        signals.add(paths.pixel, value, paths.share, edges=vertex)
+    if vertex == 0 and signals.transparent_film:
+        signals.images["alpha"][paths.pixel] -= paths.throughput.mean(axis=1)
+        return
+    paths = paths.rows(paths.kind & scene.world.visibility != 0)
+    pdf = np.zeros(len(paths.pixel))
+    if scene.world.light >= 0:
+        pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
+    value = paths.throughput * scene.world.radiance(paths.direction) * _hit_weight(paths, pdf)
+    signals.add(paths.pixel, value, paths.share, vertex)
 
 
 def _add_emission(
     scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray, vertex: int
 ) -> None:
-    if vertex == 0:
-        signals.add_emission(paths.pixel, surface.emission)
-        return
     cosine = np.einsum("ni,ni->n", surface.geometric_normal, paths.direction)
-    pdf = scene.lights.triangle_pdf(surface.emission, t, cosine)
+    pdf = scene.lights.triangle_pdf(surface.light, t, cosine)
+    lit = np.flatnonzero((surface.light >= 0) & ~paths.delta)
+    pdf[lit] *= scene.lights.choice_probability(surface.light[lit], paths.origin[lit], paths.normal[lit])
     value = paths.throughput * surface.emission * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, edges=vertex)
+    signals.add(paths.pixel, value, paths.share, vertex)
 
 
 def _add_direct_light(
@@ -169,12 +249,16 @@ def _add_direct_light(
     bsdf: Bsdf,
     position: np.ndarray,
     magnitude: np.ndarray,
+    allowed: np.ndarray,
     light_choice: np.ndarray,
     light_point: np.ndarray,
     vertex: int,
 ) -> None:
-    light = scene.lights.sample(scene.lights.choose(light_choice), position, light_point)
+    index, probability = scene.lights.choose(light_choice, position, bsdf.normal)
+    light = scene.lights.sample(index, probability, position, light_point)
     diffuse, specular, pdf = evaluate(bsdf, light.direction)
+    below = (bsdf.geometric_normal * light.direction).sum(axis=1) < 0.0
+    diffuse, specular = _kept(diffuse, specular, allowed & scene.lights.visibility[index], below)
     total = diffuse + specular
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.where(light.delta, 1.0, power_heuristic(light.pdf, pdf)) / light.pdf
@@ -184,4 +268,4 @@ def _add_direct_light(
     origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
     lit = lit[~scene.shapes.occluded(origin, direction, light.distance[lit] * SHADOW_END)]
     share = _share(diffuse, total) if vertex == 0 else paths.share
-    signals.add(paths.pixel[lit], value[lit], share[lit], edges=vertex + 1)
+    signals.add(paths.pixel[lit], value[lit], share[lit], vertex + 1)

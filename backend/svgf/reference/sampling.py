@@ -12,6 +12,7 @@ import numpy as np
 
 # Pairs of one sample: the point in the pixel, then PAIRS_PER_VERTEX for each vertex, the first hit being vertex 0.
 PIXEL_PAIR = 0
+LENS_PAIR = 0x10000
 PAIRS_PER_VERTEX = 4
 
 
@@ -31,7 +32,7 @@ def light_point_pair(vertex: int) -> int:
 
 
 def light_choice_pair(vertex: int) -> int:
-    """Which light; the second number is not used."""
+    """Which light."""
     return 4 + PAIRS_PER_VERTEX * vertex
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .bsdf import Bsdf, make_bsdf
+from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .lights import Lights
 from .texture import Texture
@@ -44,13 +45,20 @@ class Shapes(Geometry):
         object_id,
         material_start,
         material_table,
+        visibility,
+        emitter,
     ) -> None:
         def transforms(rows) -> np.ndarray:
             return np.asarray(rows, dtype=np.float64).reshape(-1, 3, 4)
 
         super().__init__(
-            meshes, np.asarray(instance_mesh, dtype=np.int64), transforms(object_to_world), transforms(world_to_object)
+            meshes,
+            np.asarray(instance_mesh, dtype=np.int64),
+            transforms(object_to_world),
+            transforms(world_to_object),
+            np.asarray(visibility, dtype=np.int64),
         )
+        self.emitter = np.asarray(emitter, dtype=np.int64)
         self.previous_object_to_world = transforms(previous_object_to_world)
         self.object_id = np.asarray(object_id, dtype=np.int64)
         self.material_start = np.asarray(material_start, dtype=np.int64)
@@ -69,13 +77,14 @@ class SceneView:
     materials: np.ndarray
     textures: list[Texture]
     lights: Lights
+    world: World
 
 
 @dataclass
 class Surface:
     """Rows of hits. position, geometric_normal, shading_normal (unit, outside of the mesh), previous_position: [n, 3],
     world. magnitude: [n], of the terms that the position was summed from. material: [n]. base: [n, 3], texture
-    included."""
+    included. light: [n], of the lights, -1 for none."""
 
     position: np.ndarray
     previous_position: np.ndarray
@@ -86,6 +95,7 @@ class Surface:
     material: np.ndarray
     rows: np.ndarray
     base: np.ndarray
+    light: np.ndarray
 
     @property
     def emission(self) -> np.ndarray:
@@ -127,6 +137,9 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray) -> Surface:
         material=material,
         rows=rows,
         base=_base_color(scene, rows, interpolate(shapes.uvs[triangle])),
+        light=scene.lights.find(
+            shapes.emitter[instance], triangle - shapes.first_triangle[shapes.instance_mesh[instance]]
+        ),
     )
 
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects import Effects
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .camera import Camera, pixel_centers
 from .device import Device
+from .environment import World
 from .gbuffer import trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import PIXEL_PAIR, pixel_keys, random_pair
+from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -22,10 +25,11 @@ class Tracer:
 
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
-        self._shapes = Shapes([], *(np.zeros(0) for _ in range(7)))
+        self._shapes = Shapes([], *(np.zeros(0) for _ in range(9)))
         self._materials = np.zeros((0, 16))
         self._textures: list[Texture] = []
-        self._lights = Lights([], [], [], [0.0], 0.0, np.zeros(3))
+        self._lights = Lights()
+        self._world: tuple = ()
         self._camera_rows: tuple[np.ndarray, ...] = ()
 
     def set_instances(
@@ -38,6 +42,8 @@ class Tracer:
         object_id,
         material_start,
         material_table,
+        visibility,
+        emitter,
     ) -> None:
         self._shapes = Shapes(
             meshes,
@@ -48,21 +54,24 @@ class Tracer:
             object_id,
             material_start,
             material_table,
+            visibility,
+            emitter,
         )
 
     def set_materials(self, materials, textures: list[Texture]) -> None:
         self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 16)
         self._textures = list(textures)
 
-    def set_lights(
-        self, light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
-    ) -> None:
-        self._lights = Lights(
-            light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
-        )
+    def set_lights(self, **columns) -> None:
+        self._lights = Lights(**columns)
 
-    def set_camera(self, camera_to_world, previous_camera_to_world, window, previous_window, clip) -> None:
-        rows = (camera_to_world, previous_camera_to_world, window, previous_window, clip)
+    def set_world(self, radiance, visibility, texture: int, light: int, to_environment, row_cdf, column_cdf) -> None:
+        self._world = (radiance, visibility, texture, light, to_environment, row_cdf, column_cdf)
+
+    def set_camera(
+        self, camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens
+    ) -> None:
+        rows = (camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens)
         self._camera_rows = tuple(np.asarray(row, dtype=np.float64) for row in rows)
 
     def trace(
@@ -76,37 +85,50 @@ class Tracer:
         effects: int,
         pixel_filter: str,
         signals: str,
+        light_paths: tuple = (),
+        transparent_film: bool = False,
     ) -> dict[str, np.ndarray]:
         """Images [height, width] or [height, width, channels] by name: those of the G-buffer, of the first sample, then
         "emission" and the signals, means over samples.
 
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
-        "direct_indirect".
+        "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
+        seen by the camera, and there is an image "alpha".
         """
-        camera_to_world, previous_camera_to_world, window, previous_window, clip = self._camera_rows
-        camera = Camera(camera_to_world, window, width, height)
-        previous_camera = Camera(previous_camera_to_world, previous_window, width, height)
-        scene = SceneView(self._shapes, self._materials, self._textures, self._lights)
+        camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
+            self._camera_rows
+        )
+        camera = Camera(camera_to_world, window, lens, width, height)
+        previous_camera = Camera(previous_camera_to_world, previous_window, previous_lens, width, height)
+        scene = SceneView(self._shapes, self._materials, self._textures, self._lights, self._make_world())
+        scene.lights.textures, scene.lights.world = scene.textures, scene.world
+        limits = LightPaths(*light_paths)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
-        radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR))
+        radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR), limits, transparent_film)
         for number in range(sample, sample + samples):
             with self._device.stage("gbuffer"):
                 point = pixel_centers(width, height)
                 if pixel_filter == "box":
                     point = point - 0.5 + random_pair(keys, PIXEL_PAIR, number)
-                direction = camera.direction(point)
-                hits = self._primary_hits(camera, direction, clip)
+                origin, direction = camera.rays(point, random_pair(keys, LENS_PAIR, number))
+                hits = self._primary_hits(origin, direction, clip)
                 if not images:
                     images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits)
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, direction, hits)
+                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, clip[0], hits)
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
 
-    def _primary_hits(self, camera: Camera, direction: np.ndarray, clip: np.ndarray) -> Hits:
+    def _make_world(self) -> World:
+        if not self._world:
+            return World()
+        radiance, visibility, texture, *rest = self._world
+        return World(radiance, visibility, self._textures[texture] if texture >= 0 else None, *rest)
+
+    def _primary_hits(self, origin: np.ndarray, direction: np.ndarray, clip: np.ndarray) -> Hits:
         # Directions have planar depth 1, so the planar clip distances are those along the ray.
-        origin = np.broadcast_to(camera.to_world[:, 3], direction.shape)
         near, far = (np.full(len(direction), distance) for distance in clip)
-        return self._shapes.closest(origin, direction, near, far)
+        kind = np.full(len(direction), int(RayVisibility.CAMERA))
+        return self._shapes.closest(origin, direction, near, far, kind)
