@@ -300,6 +300,7 @@ def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefa
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
+        transparent_film=render.film_transparent,
     )
     settings = getattr(scene, "svgf", None)
     return settings.with_own_light_paths(defaults) if settings else defaults
@@ -311,8 +312,6 @@ def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:
         findings.add(scene, "motion blur is not supported yet; frames are sharp.")
     if render.use_border:
         findings.add(scene, "the render region is not supported yet; the whole frame is rendered.")
-    if render.film_transparent:
-        findings.add(scene, "a transparent film is not supported yet; the world is seen behind the scene.")
     if render.use_freestyle:
         findings.add(scene, "Freestyle is not supported; no lines are drawn.")
 

@@ -26,12 +26,10 @@ _BAD_COLOR = (1.0, 0.0, 0.6)
 
 @dataclass(frozen=True)
 class Look:
-    """overlay: a key of OVERLAYS. split: where noisy ends and denoised begins, share of the width. transparent: what
-    shows the background lets the view's own through."""
+    """overlay: a key of OVERLAYS. split: where noisy ends and denoised begins, share of the width."""
 
     overlay: str = "result"
     split: float = 0.5
-    transparent: bool = False
 
 
 @dataclass(frozen=True)
@@ -182,8 +180,8 @@ def paint(frame: Frame, look: Look) -> np.ndarray:
         column = round(look.split * frame.width)
         pixels[:, :column, :3] = _limited(frame.noisy[::-1, :column], _LARGEST_HALF)
         pixels[:, max(column - 1, 0) : column] = 1
-    if look.transparent and not overlay.is_data:
-        pixels[frame.object_id[::-1] == 0] = 0
+    if look.overlay in ("result", "split") and frame.alpha is not None:
+        pixels[..., 3] = _limited(frame.alpha, 1)[::-1]
     return pixels
 
 

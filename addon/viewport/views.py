@@ -120,7 +120,7 @@ def _show(
         properties.to_settings(samples=1),
         properties.device,
         properties.viewport_samples,
-        Look(properties.viewport_overlay, properties.viewport_split, scene.render.film_transparent),
+        Look(properties.viewport_overlay, properties.viewport_split),
         properties.viewport_budget,
     )
 

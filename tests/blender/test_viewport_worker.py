@@ -242,12 +242,13 @@ def test_split_screen(worker, scene):
 
 
 def test_transparent_film_lets_the_background_through(worker, scene):
+    scene = replace(scene, defaults=replace(scene.defaults, transparent_film=True))
     frame = ask(worker, scene, limit=1).frame
     background = frame.object_id[::-1] == 0
     assert background.any() and not background.all()
-    picture = paint(frame, Look(transparent=True))
-    assert not picture[background].any() and (picture[~background, 3] == 1).all()
-    assert (paint(frame, Look("depth", transparent=True))[..., 3] == 1).all(), "Data has no background."
+    picture = paint(frame, Look())
+    assert not picture[background].any() and (picture[~background, 3] > 0).all()
+    assert (paint(frame, Look("depth"))[..., 3] == 1).all(), "Data has no background."
 
 
 def test_bad_values_are_marked(worker, scene):
