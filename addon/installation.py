@@ -74,9 +74,14 @@ class SVGF_PT_unavailable(bpy.types.Panel):
         return context.engine in cls.COMPAT_ENGINES
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.layout.column(align=True)
-        for number, line in enumerate(textwrap.wrap(_problem, _LETTERS)):
-            column.label(text=line, icon="BLANK1" if number else "ERROR")
+        write(self.layout, _problem, "ERROR")
+
+
+def write(layout: bpy.types.UILayout, text: str, icon: str) -> None:
+    """In as many lines as it takes: labels end at the panel's edge."""
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, _LETTERS)):
+        column.label(text=line, icon="BLANK1" if number else icon)
 
 
 def register(problem: str) -> None:

@@ -21,6 +21,7 @@ from svgf.scene import (
     RenderDefaults,
     Scene,
     Texture,
+    TextureMap,
     World,
 )
 
@@ -222,7 +223,7 @@ def checker_texture(size: int = 8) -> Texture:
 
 def textured_scene() -> Scene:
     """A textured floor under a sun and a sky."""
-    paper = Material("paper", base_color_texture=0, specular_ior_level=0.0)
+    paper = Material("paper", maps={"base_color": TextureMap(0)}, specular_ior_level=0.0)
     return build(
         [(quad(4.0), transform(), [paper])],
         camera((0.5, -3.0, 2.5), (0, 0, 0)),

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 from svgf.errors import InputError
-from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
+from svgf.scene import Camera, Instances, Light, Material, Mesh, RayVisibility, RenderDefaults, Scene, Texture, World
 
 from .camera import export_camera, render_size
 from .changes import Changes
@@ -19,6 +19,7 @@ from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
+from .uv_maps import find_uv_layers
 from .world import export_world
 
 _T = TypeVar("_T")
@@ -44,6 +45,7 @@ class _Snapshot:
     instance_mesh: np.ndarray
     material_start: np.ndarray
     material_table: np.ndarray
+    visibility: np.ndarray | None
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
     lights: tuple[Light, ...]
@@ -177,10 +179,12 @@ class Exporter:
         space: bpy.types.SpaceView3D | None = None,
     ) -> _Snapshot:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
-        _find_unsupported(scene, findings)
-        materials = MaterialTable(self._textures, findings)
-        self._meshes.start_frame(self.should_stop, changed)
+        _find_unsupported(scene, view_layer, findings)
+        layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
+        materials = MaterialTable(self._textures, findings, layers)
+        self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
+        materials.read(placements.uv_use())
         world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
         keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
@@ -195,6 +199,7 @@ class Exporter:
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
             material_table=np.array(placements.material_table, np.int32),
+            visibility=_visibility(placements.visibility),
             materials=_keep_all(materials.materials, last and last.materials),
             textures=_keep_all(materials.textures, last and last.textures),
             lights=_keep_all(placements.lights, last and last.lights),
@@ -225,6 +230,7 @@ class Exporter:
             object_id=now.object_id,
             material_start=now.material_start,
             material_table=now.material_table,
+            visibility=now.visibility,
         )
         self._instances = _keep(instances, self._instances)
         return Scene(
@@ -254,6 +260,12 @@ def export_scene(
     Raises InputError without a camera or a mesh.
     """
     return (previous or Exporter()).export(depsgraph, size)
+
+
+def _visibility(rays: list[RayVisibility]) -> np.ndarray | None:
+    """As Instances have it."""
+    values = np.array(rays, np.uint8)
+    return None if (values == RayVisibility.ALL).all() else values
 
 
 def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
@@ -289,29 +301,25 @@ def _new_count(now: tuple[_T, ...], last: tuple[_T, ...] | None) -> int:
 
 
 def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefaults:
-    """What an evaluated or original scene says about its render, for an image of this size.
-
-    Light paths are Cycles', unless the scene has its own, which Blender knows where svgf's properties are registered.
-    """
+    """What an evaluated or original scene says about its render, for an image of this size."""
     render = scene.render
     cycles = getattr(scene, "cycles", None)  # absent where the Cycles add-on is disabled
-    defaults = RenderDefaults(
+    return RenderDefaults(
         *size,
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
         transparent_film=render.film_transparent,
     )
-    settings = getattr(scene, "svgf", None)
-    return settings.with_own_light_paths(defaults) if settings else defaults
 
 
-def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:
+def _find_unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, findings: Findings) -> None:
     render = scene.render
+    off = [name for switch, name in (("use_sky", "sky"), ("use_solid", "surfaces")) if not getattr(view_layer, switch)]
+    if off:
+        findings.add(scene, f"view layers without {', '.join(off)} are not supported yet; they are there.")
     if render.use_motion_blur:
         findings.add(scene, "motion blur is not supported yet; frames are sharp.")
-    if render.use_border:
-        findings.add(scene, "the render region is not supported yet; the whole frame is rendered.")
     if render.use_freestyle:
         findings.add(scene, "Freestyle is not supported; no lines are drawn.")
 

@@ -9,12 +9,13 @@ from zlib import crc32
 
 import bpy
 import numpy as np
-from svgf.scene import Light, Mesh
+from svgf.scene import Light, Mesh, RayVisibility
 
 from .findings import Findings, find_light_linking
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
+from .uv_maps import UvUse
 
 # Names a placement in every frame: the object, and for an instance also its parent and its number there.
 Key = tuple[str, str, bytes]
@@ -22,7 +23,7 @@ Key = tuple[str, str, bytes]
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
 
-_RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
+_RAYS = {f"visible_{ray.name.lower()}": ray for ray in RayVisibility if ray.name}
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
     "POINTCLOUD": "point clouds are",
@@ -50,6 +51,7 @@ class Placements:
     """Rows of mesh placements, and the lamps. The lists and matrices have one entry a row.
 
     mesh: index into meshes. matrices: float64 [N, 3, 4], object to world. material_start: into material_table.
+    visibility: bits of RayVisibility.
     """
 
     meshes: list[Mesh] = field(default_factory=list)
@@ -57,9 +59,14 @@ class Placements:
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
+    visibility: list[RayVisibility] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
     layout: Layout | None = None
+
+    def uv_use(self) -> UvUse:
+        scales = np.cbrt(np.abs(np.linalg.det(self.matrices[:, :, :3])))
+        return UvUse(self.meshes, zip(self.mesh, self.material_start, strict=True), self.material_table, scales)
 
 
 def collect(
@@ -70,7 +77,7 @@ def collect(
     space: bpy.types.SpaceView3D | None = None,
 ) -> Placements:
     """Reads all object instances of the evaluated frame, those that `space` hides (as in its local view) left out."""
-    return _Collector(mesh_cache, materials, findings, depsgraph.view_layer_eval, space).collect(depsgraph)
+    return _Collector(mesh_cache, materials, findings, depsgraph, space).collect()
 
 
 def moved_matrices(depsgraph: bpy.types.Depsgraph, layout: Layout) -> np.ndarray | None:
@@ -119,14 +126,17 @@ class _Collector:
         mesh_cache: MeshCache,
         materials: MaterialTable,
         findings: Findings,
-        view_layer: bpy.types.ViewLayer,
+        depsgraph: bpy.types.Depsgraph,
         space: bpy.types.SpaceView3D | None,
     ) -> None:
         self._mesh_cache = mesh_cache
         self._materials = materials
         self._findings = findings
-        self._override = view_layer.material_override
+        self._depsgraph = depsgraph
+        self._view_layer = depsgraph.view_layer
+        self._override = depsgraph.view_layer_eval.material_override
         self._space = space
+        self._visibilities: dict[str, RayVisibility] = {}
         self._rows: list[int] = []
         self._placements = Placements()
         self._meshes: dict[int, int | None] = {}  # address of Blender's mesh -> index, None without triangles
@@ -136,13 +146,13 @@ class _Collector:
         self._table_starts: dict[tuple[int, ...], int] = {}
         self._used_keys: dict[Key, int] = {}
 
-    def collect(self, depsgraph: bpy.types.Depsgraph) -> Placements:
-        stored, persistent_ids = _read(depsgraph)
+    def collect(self) -> Placements:
+        stored, persistent_ids = _read(self._depsgraph)
         matrices = stored.astype(np.float64)
         finite = np.isfinite(matrices).all(axis=(1, 2))
         id_bytes = persistent_ids.tobytes()
         still = []
-        for row, instance in enumerate(depsgraph.object_instances):
+        for row, instance in enumerate(self._depsgraph.object_instances):
             owner = instance.object
             kind = owner.type
             if kind not in {"MESH", "LIGHT"} or not instance.show_self:
@@ -163,7 +173,7 @@ class _Collector:
                 key: Key = (owner.name_full, "", b"")
                 if instance.is_instance:
                     key = (owner.name_full, instance.parent.name_full, id_bytes[32 * row : 32 * row + 32])
-                self._add_mesh(owner, row, key)
+                self._add_mesh(owner, row, key, self._visibility(instance))
         self._placements.matrices = matrices[self._rows, :3]
         self._placements.layout = Layout(persistent_ids, np.array(self._rows, int), np.array(still, int), stored[still])
         return self._placements
@@ -172,7 +182,29 @@ class _Collector:
         """An instance is where its instancer is."""
         return (instance.parent if instance.is_instance else instance.object).visible_in_viewport_get(self._space)
 
-    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key) -> None:
+    def _visibility(self, instance: bpy.types.DepsgraphObjectInstance) -> RayVisibility:
+        """Rays see an instance that see both the object and its instancer."""
+        rays = self._visibility_of(instance.object)
+        return rays & self._visibility_of(instance.parent) if instance.is_instance else rays
+
+    def _visibility_of(self, obj: bpy.types.Object) -> RayVisibility:
+        name = obj.name_full
+        if name not in self._visibilities:
+            rays = RayVisibility.NONE
+            for attribute, ray in _RAYS.items():
+                if getattr(obj, attribute):
+                    rays |= ray
+            original = obj.original
+            if original.holdout_get(view_layer=self._view_layer):
+                self._findings.add(obj, "holdouts are not supported yet; the object is an ordinary one.")
+            elif original.indirect_only_get(view_layer=self._view_layer):
+                rays &= ~RayVisibility.CAMERA
+            self._visibilities[name] = rays
+        return self._visibilities[name]
+
+    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key, visibility: RayVisibility) -> None:
+        if not visibility:
+            return
         data = owner.data
         geometry_key = (key[0], data.as_pointer())
         if geometry_key not in self._geometry:
@@ -189,14 +221,10 @@ class _Collector:
         self._placements.keys.append(key)
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
+        self._placements.visibility.append(visibility)
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""
-        visible = [getattr(owner, f"visible_{ray}") for ray in _RAYS]
-        if not any(visible):
-            return None
-        if not all(visible):
-            self._findings.add(owner, "ray visibility is not supported yet; every ray sees the object.")
         _find_unsupported(owner, self._findings)
         pointer = data.as_pointer()
         if pointer not in self._meshes:
@@ -235,8 +263,6 @@ def _slots(owner: bpy.types.Object, data: bpy.types.Mesh) -> list[bpy.types.Mate
 
 
 def _find_unsupported(owner: bpy.types.Object, findings: Findings) -> None:
-    if owner.is_holdout:
-        findings.add(owner, "holdouts are not supported yet; the object is an ordinary one.")
     if owner.is_shadow_catcher:
         findings.add(owner, "shadow catchers are not supported yet; the object is an ordinary one.")
     find_light_linking(owner, findings)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import Field, fields
 
 import bpy
-from svgf.scene import LightPaths
+from svgf.light_paths import LightPaths
 from svgf.settings import DenoiseSettings
 
 _ENGINE = "SVGF"
@@ -59,12 +59,10 @@ class SVGF_PT_sampling(EnginePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         settings, column = context.scene.svgf, self.columns()
         column.prop(settings, "device")
-        column.row().prop(settings, "quality", expand=True)
-        column.separator()
-        column.prop(settings, "viewport_samples")
-        column.prop(settings, "viewport_budget")
-        column.separator()
+        column.prop(settings, "quality")
         column.prop(settings, "samples", text="Render Samples")
+        column.prop(settings, "viewport_samples", text="Viewport")
+        column.prop(settings, "viewport_budget")
 
 
 class SVGF_PT_sampling_advanced(EnginePanel, bpy.types.Panel):

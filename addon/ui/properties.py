@@ -7,13 +7,14 @@ Cycles' too, unless the scene asks for its own.
 
 from __future__ import annotations
 
-from dataclasses import Field, fields, replace
+from dataclasses import Field, fields
 from typing import Any
 
 import bpy
 import numpy as np
 from svgf.devices import NAMES as DEVICES
-from svgf.scene import LightPaths, RenderDefaults
+from svgf.light_paths import LARGEST_BOUNCES, LIGHT_PATH_RANGES, LightPaths
+from svgf.scene import RenderDefaults
 from svgf.settings import METHODS, PIXEL_FILTERS, SIGNALS, DenoiseSettings, Settings
 
 from ..viewport.picture import OVERLAYS
@@ -60,7 +61,6 @@ _QUALITIES = (
     ("final", "Final", "64 samples per frame; views go on to 4096", 2),
     (_CUSTOM, "Custom", "Samples and frame budget as they are set below", 3),
 )
-_LARGEST_BOUNCES = 1024
 _LIGHT_PATHS = {
     "diffuse_bounces": "Bounces off diffuse surfaces; a path that has made them all still finds light directly",
     "glossy_bounces": "Bounces off glossy surfaces",
@@ -126,10 +126,10 @@ def _light_path_property(item: Field) -> Any:
     }
     if item.type == "bool":
         return bpy.props.BoolProperty(**named)
+    smallest, largest = LIGHT_PATH_RANGES[item.name]
     if item.type == "int":
-        return bpy.props.IntProperty(min=0, soft_max=32, max=_LARGEST_BOUNCES, **named)
-    largest = 10.0 if item.name == "filter_glossy" else 1e6
-    return bpy.props.FloatProperty(min=0.0, soft_max=10.0, max=largest, **named)
+        return bpy.props.IntProperty(min=smallest, soft_max=32, max=largest, **named)
+    return bpy.props.FloatProperty(min=smallest, soft_max=10.0, max=largest, **named)
 
 
 SVGFLightPaths = type(
@@ -144,7 +144,7 @@ SVGFLightPaths = type(
                 default=RenderDefaults.bounces,
                 min=0,
                 soft_max=32,
-                max=_LARGEST_BOUNCES,
+                max=LARGEST_BOUNCES,
                 update=_redraw_views,
             ),
             **{item.name: _light_path_property(item) for item in fields(LightPaths)},
@@ -269,7 +269,12 @@ class SVGFSettings(bpy.types.PropertyGroup):
     def to_settings(self, samples: int | None = None) -> Settings:
         """The settings of a render; samples: instead of the file's. Raises InputError like Settings."""
         denoise = {item.name: _as_written(getattr(self.denoise, item.name)) for item in fields(DenoiseSettings)}
+        light_paths = {}
+        if self.use_own_light_paths:
+            names = ("bounces", *(item.name for item in fields(LightPaths)))
+            light_paths = {name: _as_written(getattr(self.light_paths, name)) for name in names}
         return Settings(
+            **light_paths,
             samples=samples or self.samples,
             seed=self.seed,
             method=self.method,
@@ -277,14 +282,6 @@ class SVGFSettings(bpy.types.PropertyGroup):
             pixel_filter=self.pixel_filter,
             denoise=DenoiseSettings(**denoise),
         )
-
-
-    def with_own_light_paths(self, defaults: RenderDefaults) -> RenderDefaults:
-        """What the file says about a render, with the scene's own light paths where it has some."""
-        if not self.use_own_light_paths:
-            return defaults
-        own = {item.name: _as_written(getattr(self.light_paths, item.name)) for item in fields(LightPaths)}
-        return replace(defaults, bounces=self.light_paths.bounces, light_paths=LightPaths(**own))
 
 
 def _as_written(value: float | int) -> float | int:

@@ -38,12 +38,13 @@ class _Rows:
 
 
 def flatten_lights(
-    scene: Scene, instances: dict[str, np.ndarray], materials: np.ndarray, origin: np.ndarray, extent: float
+    scene: Scene, instances: dict[str, np.ndarray], emission: np.ndarray, origin: np.ndarray, extent: float
 ) -> dict[str, Any]:
-    """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances."""
+    """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances. emission:
+    [M, 3], radiance of each material."""
     lamps = _lamps(scene.lights, origin, extent)
     environment, row_cdf, column_cdf = _environment(scene, extent)
-    triangles, emitters = _emissive_triangles(scene.meshes, instances, materials)
+    triangles, emitters = _emissive_triangles(scene.meshes, instances, emission)
     is_sun = lamps.kind == LightKind.SUN
     groups = (_chosen(lamps, is_sun), environment, _chosen(lamps, ~is_sun), triangles)
     kind, data, visibility, weight = (
@@ -197,10 +198,9 @@ class _Found:
 
 
 def _emissive_triangles(
-    meshes: tuple[Mesh, ...], instances: dict[str, np.ndarray], materials: np.ndarray
+    meshes: tuple[Mesh, ...], instances: dict[str, np.ndarray], emission: np.ndarray
 ) -> tuple[_Rows, dict[str, np.ndarray]]:
     """The triangles that emit, in instance order, and the fields of a FlatScene that say which light a triangle is."""
-    emission = materials[:, 12:15]
     table = instances["material_table"]
     emits = (emission.mean(axis=1) > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
     found = _Found()

@@ -49,9 +49,10 @@ class SceneUploader:
                 flat.visibility,
                 flat.emitter,
             )
-        if textures is not None or self._changed(flat, ("materials",)):
+        if textures is not None or self._changed(flat, MATERIAL_FIELDS):
             self._tracer.set_materials(
-                np.asarray(flat.materials, self._dtype), [self._textures[id(texture)][1] for texture in flat.textures]
+                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
+                [self._textures[id(texture)][1] for texture in flat.textures],
             )
         if self._changed(flat, LIGHT_FIELDS):
             self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})
@@ -98,13 +99,20 @@ class SceneUploader:
         )
 
     def _new_texture(self, texture: Texture) -> Any:
-        return self._device.texture(texture.pixels, texture.srgb, int(texture.interpolation), int(texture.extension))
+        return self._device.texture(
+            texture.pixels,
+            texture.srgb,
+            int(texture.interpolation),
+            int(texture.extension),
+            texture.associated_alpha,
+        )
 
 
 TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
 INSTANCE_FIELDS = (
     "instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table", "visibility", "emitter",
 )  # fmt: skip
+MATERIAL_FIELDS = ("materials", "material_maps")
 LIGHT_FIELDS = (
     "light_kind", "light_data", "light_visibility", "light_probability", "light_cdf", "light_tree", "light_of_leaf",
     "emitters", "light_of_triangle", "emission_map", "emission_maps",

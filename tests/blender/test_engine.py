@@ -124,6 +124,18 @@ def test_final_render_is_what_the_command_line_renders(scene, tmp_path, engine_d
     assert exr.find_pass(theirs, "History Length", "").max() == 3
 
 
+def test_transparent_film(scene, tmp_path, engine_device):
+    """The plane hides half of the world, whose other half lets what is behind the image be seen."""
+    bpy.data.objects["Floor"].location.z = -3
+    scene.render.film_transparent = True
+    bpy.ops.render.render(write_still=True)
+    combined = exr.find_pass(rendered(tmp_path), "Combined", "")
+    (frame,) = from_python(save(tmp_path / "film.blend"), [1], engine_device)
+    assert np.array_equal(combined, np.dstack([frame.color, frame.alpha]))
+    assert combined[..., 3].min() == 0 and combined[..., 3].max() == 1
+    assert not combined[combined[..., 3] == 0].any()
+
+
 def test_compositor_gets_the_passes(scene, tmp_path):
     if bpy.app.version < (5, 0, 0):
         pytest.skip("compositors of Blender 4 are another kind of node tree")

@@ -322,22 +322,6 @@ def test_nothing_to_render(missing):
     assert error.value.hint.startswith("Add")
 
 
-def test_what_is_no_surface_is_named():
-    add_mesh()
-    link("Hair", bpy.data.hair_curves.new("Hair"))
-    link("Smoke", bpy.data.volumes.new("Smoke"))
-    link("Cloud", bpy.data.pointclouds.new("Cloud"))
-    ghost = add_mesh("Ghost")
-    ghost.visible_camera = False
-    ghost.is_holdout = True
-    warnings = "\n".join(export().warnings)
-    assert 'Object "Hair": hair curves are not supported yet; the object is left out.' in warnings
-    assert 'Object "Smoke": volumes are not supported yet' in warnings
-    assert 'Object "Cloud": point clouds are not supported yet' in warnings
-    assert 'Object "Ghost": ray visibility is not supported yet' in warnings
-    assert 'Object "Ghost": holdouts are not supported yet' in warnings
-
-
 def test_object_ids_are_a_function_of_the_keys():
     keys = [(f"Object {index}", "", b"") for index in range(20_000)]
     ids = object_ids(keys)

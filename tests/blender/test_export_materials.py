@@ -38,7 +38,7 @@ def test_principled_constants():
         "Emission_Strength": 8.0,
     }
     scene, material = exported(add_material("Paint", **values))
-    assert material.name == "Paint" and material.base_color_texture == -1
+    assert material.name == "Paint" and not material.maps
     assert np.allclose(material.base_color, (0.1, 0.2, 0.3))
     assert (material.metallic, material.roughness, material.ior) == pytest.approx((0.25, 0.75, 1.33))
     assert (material.transmission, material.specular_ior_level) == pytest.approx((0.5, 0.4))
@@ -106,7 +106,7 @@ def test_base_color_texture(color_space, is_float, srgb):
     node.interpolation, node.extension = "Closest", "MIRROR"
     scene, material = exported(material)
     (texture,) = scene.textures
-    assert material.base_color_texture == 0 and texture.srgb is srgb
+    assert material.maps["base_color"].texture == 0 and texture.srgb is srgb
     assert texture.interpolation is Interpolation.CLOSEST and texture.extension is Extension.MIRROR
     assert texture.pixels.shape == (2, 3, 4) and texture.pixels.dtype == (np.float32 if is_float else np.uint8)
     expected = CHECKER if is_float else np.rint(CHECKER * 255)

@@ -132,3 +132,30 @@ def test_add_on_needs_numpy_only():
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     brought = set(result.stdout.splitlines()[-1].split())
     assert brought <= {"svgf", "svgf_blender", "numpy", "bpy", "_bpy", "mathutils", "gpu_extras"}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "reason", "said"),
+    [
+        ("auto", "There is no NVIDIA driver. Install one.", "There is no NVIDIA driver. Install one. The CPU renders."),
+        ("cuda", "There is no NVIDIA driver. Install one.", "There is no NVIDIA driver. Install one."),
+        ("cpu", "There is no NVIDIA driver. Install one.", None),
+        ("auto", "", None),
+    ],
+)
+def test_no_driver(registered, monkeypatch, chosen, reason, said):
+    """The CPU renders, and the panel says why the GPU does not."""
+    from svgf_blender.ui import devices
+
+    monkeypatch.setattr(devices, "_reason", None)
+    monkeypatch.setattr(devices, "available_devices", lambda: [SimpleNamespace(name="cuda", reason=reason)])
+    bpy.context.scene.svgf.device = chosen
+    context = SimpleNamespace(engine="SVGF", scene=bpy.context.scene)
+    devices.find_reason().result()
+    assert devices.SVGF_PT_no_gpu.poll(context) == (said is not None)
+    if said is not None:
+        lines = []
+        column = SimpleNamespace(label=lambda text, icon: lines.append(text))
+        panel = SimpleNamespace(layout=SimpleNamespace(column=lambda align: column))
+        devices.SVGF_PT_no_gpu.draw(panel, context)
+        assert " ".join(lines) == said

@@ -10,12 +10,11 @@ from pathlib import Path
 import bpy
 import pytest
 import svgf_blender
-from blend import add_cube, export, validate
 from svgf import __version__
 from svgf.errors import InputError
-from svgf.scene import LightPaths, RenderDefaults
+from svgf.light_paths import LIGHT_PATH_RANGES, LightPaths
+from svgf.scene import RenderDefaults
 from svgf.settings import DenoiseSettings, Settings
-from svgf_blender.export.exporter import render_defaults
 
 HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre", "undo_post", "redo_post")
 
@@ -24,8 +23,12 @@ def state() -> tuple:
     """All that registration may change."""
     panels = bpy.types.Panel.__subclasses__()
     return (
-        hasattr(bpy.types.Scene, "svgf"),
-        {panel.__name__ for panel in panels if panel.is_registered and "SVGF" in getattr(panel, "COMPAT_ENGINES", ())},
+        hasattr(bpy.types.Scene, "svgf") or hasattr(bpy.types.ViewLayer, "svgf"),
+        {
+            panel.__name__
+            for panel in panels
+            if panel.is_registered and "SVGF" in getattr(panel, "COMPAT_ENGINES", ())
+        },
         "SVGF"
         in {getattr(kind, "bl_idname", "") for kind in bpy.types.RenderEngine.__subclasses__() if kind.is_registered},
         [len(getattr(bpy.app.handlers, name)) for name in HANDLERS],
@@ -57,7 +60,7 @@ def test_defaults_are_those_of_the_settings(registered):
 
 def test_every_property_has_description_and_range(registered):
     settings = bpy.context.scene.svgf
-    groups = (settings, settings.denoise, settings.light_paths)
+    groups = (settings, settings.denoise, settings.light_paths, bpy.context.view_layer.svgf)
     for group in groups:
         for item in group.bl_rna.properties:
             if item.identifier in {"rna_type", "name"} or item.type == "POINTER":
@@ -79,28 +82,20 @@ def test_denoise_properties_are_the_settings_fields(registered):
         assert item.metadata["meaning"].rstrip(".") in shown.description
 
 
-def test_light_paths_are_cycles_until_the_scene_has_its_own(registered):
-    scene, size = bpy.context.scene, (8, 4)
-    scene.cycles.max_bounces = 7
-    assert render_defaults(scene, size).bounces == 7
-    scene.svgf.use_own_light_paths = True
-    own = render_defaults(scene, size)
-    assert own.light_paths == LightPaths() and own.bounces == RenderDefaults.bounces
-    scene.svgf.light_paths.bounces, scene.svgf.light_paths.clamp_indirect = 3, 0.7
-    own = render_defaults(scene, size)
-    assert (own.bounces, own.light_paths.clamp_indirect) == (3, 0.7)
-
-
-def test_ranges_of_light_paths_are_valid(registered):
-    """The scene's validation accepts what sliders can be dragged to."""
-    add_cube()
+def test_light_paths_are_the_scenes_until_it_has_some_for_svgf(registered):
     settings = bpy.context.scene.svgf
+    assert settings.to_settings().bounces is None and settings.to_settings().clamp_indirect is None
     settings.use_own_light_paths = True
-    for end in ("hard_min", "hard_max"):
-        for item in settings.light_paths.bl_rna.properties:
-            if item.type in {"INT", "FLOAT"}:
-                setattr(settings.light_paths, item.identifier, getattr(item, end))
-        validate(export(size=(8, 4)))
+    own = settings.to_settings()
+    assert own.light_paths(LightPaths(glossy_bounces=1)) == LightPaths() and own.bounces == RenderDefaults.bounces
+    settings.light_paths.bounces, settings.light_paths.clamp_indirect = 3, 0.7
+    assert (settings.to_settings().bounces, settings.to_settings().clamp_indirect) == (3, 0.7)
+
+
+def test_ranges_of_light_paths_are_those_of_the_settings(registered):
+    shown = bpy.context.scene.svgf.light_paths.bl_rna.properties
+    for name, ends in LIGHT_PATH_RANGES.items():
+        assert (shown[name].hard_min, shown[name].hard_max) == ends
 
 
 def test_quality_sets_samples_and_is_found_again(registered):

@@ -26,7 +26,7 @@ SVGF_HD inline Vec3 environment_radiance(const SceneView& scene, Vec3 direction)
     const WorldView& world = scene.world;
     if (world.texture < 0) return world.radiance;
     const Vec2 uv = equirectangular_uv(rotate(world.to_environment, direction));
-    return world.radiance * sample_texture(scene.textures[world.texture], uv);
+    return world.radiance * sample_texture(scene.textures[world.texture], uv).xyz();
 }
 
 // The i with cdf[i] <= u < cdf[i + 1], of `count` intervals. u becomes the place within it, in [0, 1).

@@ -107,7 +107,7 @@ SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
 SVGF_HD inline Vec3 sample_emission_map(const SceneView& scene, const Light& light, Vec2 share) {
     const EmissionMap& map = scene.lights.emission_maps[light.emission_map];
     const Vec2 uv = map.corner[0] + (map.corner[1] - map.corner[0]) * share.x + (map.corner[2] - map.corner[0]) * share.y;
-    return sample_texture(scene.textures[map.texture], uv);
+    return sample_texture(scene.textures[map.texture], uv).xyz();
 }
 
 // A point on a light as seen from `point`. probability: with which the light was chosen.

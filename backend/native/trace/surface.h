@@ -15,7 +15,7 @@ struct Surface {
     Vec3 geometric_normal, shading_normal;  // unit, outside of the mesh
     float clearance;                        // see offset_from_surface
     std::int32_t material_index;
-    Material material;  // with the texture's base colour
+    Material material;  // with the values of its maps
 };
 
 // Unit vector for any length, also where its square would vanish or overflow.
@@ -28,17 +28,55 @@ SVGF_HD inline Vec3 interpolate(const Vec3 (&corner)[3], const Hit& hit) {
     return corner[0] + (corner[1] - corner[0]) * hit.weight1 + (corner[2] - corner[0]) * hit.weight2;
 }
 
-SVGF_HD inline Vec3 sample_base_color(const SceneView& scene, const MeshView& mesh, const Material& material,
-                                      const Hit& hit) {
-    if (!(material.base_color_texture >= 0.0f)) return material.base_color;
-    Vec2 uv;
-    if (mesh.uvs) {
-        const CornerUvs& uvs = mesh.uvs[hit.leaf_triangle];
-        uv = uvs.corner[0] + (uvs.corner[1] - uvs.corner[0]) * hit.weight1 +
-             (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
+SVGF_HD inline Vec2 interpolate_uv(const MeshView& mesh, std::int32_t layer, const Hit& hit) {
+    if (layer >= mesh.uv_layers) return {};
+    const CornerUvs& uvs = mesh.uvs[layer * mesh.triangle_count + hit.leaf_triangle];
+    return uvs.corner[0] + (uvs.corner[1] - uvs.corner[0]) * hit.weight1 + (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
+}
+
+// Gives an input of a material the value of a texel. Shares stay shares, whatever an image holds: a surface reflects no
+// more than it gets.
+SVGF_HD inline void set_input(Material& material, MaterialInput input, Vec4 texel, std::int32_t channel) {
+    const float value = channel <= 0 ? texel.x : channel == 1 ? texel.y : channel == 2 ? texel.z : texel.w;
+    const float share = saturate(value);
+    const Vec3 color = min(texel.xyz(), Vec3{1, 1, 1});
+    switch (input) {
+        case MaterialInput::base_color: material.base_color = color; break;
+        case MaterialInput::specular_tint: material.specular_tint = color; break;
+        case MaterialInput::coat_tint: material.coat_tint = color; break;
+        case MaterialInput::sheen_tint: material.sheen_tint = color; break;
+        case MaterialInput::normal: material.normal = texel.xyz(); break;
+        case MaterialInput::emission: material.emission *= texel.xyz(); break;
+        case MaterialInput::ior: material.ior = clamp(value, smallest_ior, largest_ior); break;
+        case MaterialInput::coat_ior: material.coat_ior = clamp(value, smallest_ior, largest_ior); break;
+        case MaterialInput::specular_ior_level: material.specular_ior_level = value; break;
+        case MaterialInput::normal_strength: material.normal_strength = value; break;
+        case MaterialInput::metallic: material.metallic = share; break;
+        case MaterialInput::roughness: material.roughness = share; break;
+        case MaterialInput::transmission: material.transmission = share; break;
+        case MaterialInput::alpha: material.alpha = share; break;
+        case MaterialInput::diffuse_roughness: material.diffuse_roughness = share; break;
+        case MaterialInput::anisotropic: material.anisotropic = share; break;
+        case MaterialInput::anisotropic_rotation: material.anisotropic_rotation = share; break;
+        case MaterialInput::coat_weight: material.coat_weight = share; break;
+        case MaterialInput::coat_roughness: material.coat_roughness = share; break;
+        case MaterialInput::sheen_weight: material.sheen_weight = share; break;
+        case MaterialInput::sheen_roughness: material.sheen_roughness = share; break;
+        case MaterialInput::factor: material.factor = share; break;
     }
-    // A surface reflects no more than it gets, whatever an image holds.
-    return min(sample_texture(scene.textures[int(material.base_color_texture)], uv), Vec3{1, 1, 1});
+}
+
+// The one place where materials read images.
+SVGF_HD inline void apply_maps(const SceneView& scene, const MeshView& mesh, const Hit& hit, Material& material) {
+    SVGF_NO_UNROLL
+    for (std::int32_t i = 0; i < material.map_count; ++i) {
+        const MaterialMap& map = scene.material_maps[material.map_start + i];
+        const Vec2 uv = interpolate_uv(mesh, map.uv_layer, hit);
+        const float* m = map.uv_transform;
+        const Vec4 texel = sample_texture(scene.textures[map.texture], {m[0] * uv.x + m[1] * uv.y + m[2],
+                                                                        m[3] * uv.x + m[4] * uv.y + m[5]});
+        set_input(material, map.input, texel, map.channel);
+    }
 }
 
 // How far off a triangle its rays must start so as not to hit it again: the roundings of the hit point and of the
@@ -85,7 +123,7 @@ SVGF_HD inline Surface find_surface(const SceneView& scene, const Hit& hit) {
     }
     surface.material_index = scene.material_table[instance.material_start + triangle.material_slot];
     surface.material = load(scene.materials + surface.material_index);
-    surface.material.base_color = sample_base_color(scene, mesh, surface.material, hit);
+    apply_maps(scene, mesh, hit, surface.material);
     return surface;
 }
 

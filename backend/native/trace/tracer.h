@@ -98,7 +98,9 @@ public:
     explicit Tracer(Device& device);
 
     void set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Instances& arrays);
-    void set_materials(std::span<const float> materials, std::vector<std::shared_ptr<Texture>> textures);  // [M, 16]
+    // [M, 48] and [K, 12]
+    void set_materials(std::span<const float> materials, std::span<const float> material_maps,
+                       std::vector<std::shared_ptr<Texture>> textures);
     void set_lights(const Lights& arrays);
     void set_world(const World& arrays);
     void set_camera(const Cameras& arrays);
@@ -123,6 +125,7 @@ private:
     Buffer<MeshView> mesh_views_;
     Buffer<std::int32_t> material_table_;
     Buffer<Material> materials_;
+    Buffer<MaterialMap> material_maps_;
     Buffer<TextureView> texture_views_;
     Buffer<Light> lights_;
     Buffer<float> light_cdf_;

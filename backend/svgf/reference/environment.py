@@ -28,7 +28,7 @@ class World:
         """[n, 3] of unit directions [n, 3]."""
         if self.image is None:
             return np.broadcast_to(self.constant, direction.shape)
-        return self.constant * self.image.lookup(equirectangular_uv(direction @ self.rotation.T))
+        return self.constant * self.image.lookup(equirectangular_uv(direction @ self.rotation.T))[:, :3]
 
     def density(self, direction: np.ndarray) -> np.ndarray:
         """[n]: with which ``sample`` finds unit directions."""

@@ -220,7 +220,7 @@ class Lights:
             chosen = rows == row
             corners = self.emission_maps[row, :6].reshape(3, 2)
             at = corners[0] + share[chosen] @ (corners[1:] - corners[0])
-            color[chosen] = self.textures[int(self.emission_maps[row, 6])].lookup(at)
+            color[chosen] = self.textures[int(self.emission_maps[row, 6])].lookup(at)[:, :3]
         return color
 
     def crossed_lamps(

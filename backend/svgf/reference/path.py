@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..flatten import MATERIAL_COLUMNS
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
 from .bsdf import Bsdf, evaluate, sample
@@ -170,11 +171,12 @@ def trace_paths(
 def _simplify(surface: Surface, paths: Paths, limits: LightPaths) -> None:
     """What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow."""
     if not limits.reflective_caustics:
-        surface.rows[paths.kind == RayVisibility.DIFFUSE, 8] = 0.0
+        surface.rows[paths.kind == RayVisibility.DIFFUSE, MATERIAL_COLUMNS["specular_ior_level"]] = 0.0
     if limits.filter_glossy > 0.0:
         density = np.minimum(paths.smallest_pdf / limits.filter_glossy, 1.0)
         # GGX alpha is the square of roughness.
-        surface.rows[:, 5] = np.maximum(surface.rows[:, 5], np.sqrt(0.5 * np.sqrt(1.0 - density)))
+        roughness = surface.rows[:, MATERIAL_COLUMNS["roughness"]]
+        roughness[:] = np.maximum(roughness, np.sqrt(0.5 * np.sqrt(1.0 - density)))
 
 
 def _allowed_kinds(paths: Paths, limits: LightPaths) -> np.ndarray:

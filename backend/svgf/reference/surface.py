@@ -7,12 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..flatten import MATERIAL_COLUMNS
 from .bsdf import Bsdf, make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .lights import Lights
 from .texture import Texture
 from .vec import normalize, transform_normal, transform_point
+
+
+# Of what a map may give a scalar input that is not a share.
+_RANGES = {
+    MATERIAL_COLUMNS["ior"]: (1e-5, 1000.0),
+    MATERIAL_COLUMNS["coat_ior"]: (1e-5, 1000.0),
+    MATERIAL_COLUMNS["specular_ior_level"]: (0.0, np.inf),
+    MATERIAL_COLUMNS["normal_strength"]: (0.0, np.inf),
+}
 
 
 class Mesh:
@@ -22,7 +32,7 @@ class Mesh:
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         self.corners = np.asarray(positions, dtype=np.float64)[triangles]
         self.normals = np.asarray(normals, dtype=np.float64).reshape(-1, 3, 3)
-        self.uvs = np.zeros((len(triangles), 3, 2)) if uvs is None else np.asarray(uvs, dtype=np.float64)
+        self.uvs = np.asarray(() if uvs is None else uvs, dtype=np.float64).reshape(-1, len(triangles), 3, 2)
         self.slots = np.asarray(material_slots, dtype=np.int64)
         self.previous_corners = self.corners
         if previous_positions is not None:
@@ -64,17 +74,25 @@ class Shapes(Geometry):
         self.material_start = np.asarray(material_start, dtype=np.int64)
         self.material_table = np.asarray(material_table, dtype=np.int64)
         self.normals = np.concatenate([np.zeros((0, 3, 3)), *(mesh.normals for mesh in meshes)])
-        self.uvs = np.concatenate([np.zeros((0, 3, 2)), *(mesh.uvs for mesh in meshes)])
+        layers = max((len(mesh.uvs) for mesh in meshes), default=0)
+        self.uvs = np.concatenate(
+            [
+                np.zeros((layers, 0, 3, 2)),
+                *(np.pad(mesh.uvs, ((0, layers - len(mesh.uvs)), *[(0, 0)] * 3)) for mesh in meshes),
+            ],
+            axis=1,
+        )
         self.slots = np.concatenate([np.zeros(0, dtype=np.int64), *(mesh.slots for mesh in meshes)])
         self.previous_corners = np.concatenate([np.zeros((0, 3, 3)), *(mesh.previous_corners for mesh in meshes)])
 
 
 @dataclass
 class SceneView:
-    """materials: [M, 16], see FlatScene."""
+    """materials: [M, 48], material_maps: [K, 12], see FlatScene."""
 
     shapes: Shapes
     materials: np.ndarray
+    material_maps: np.ndarray
     textures: list[Texture]
     lights: Lights
     world: World
@@ -126,7 +144,7 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray) -> Surface:
     shading_normal = _shading_normal(interpolate(shapes.normals[triangle]), inverse, geometric_normal)
 
     material = shapes.material_table[shapes.material_start[instance] + shapes.slots[triangle]]
-    rows = scene.materials[material]
+    rows = _apply_maps(scene, hits, found, material)
     return Surface(
         position=position,
         previous_position=np.where(np.isfinite(previous_position).all(axis=1)[:, None], previous_position, position),
@@ -136,7 +154,7 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray) -> Surface:
         object_id=shapes.object_id[instance],
         material=material,
         rows=rows,
-        base=_base_color(scene, rows, interpolate(shapes.uvs[triangle])),
+        base=rows[:, 0:3],
         light=scene.lights.find(
             shapes.emitter[instance], triangle - shapes.first_triangle[shapes.instance_mesh[instance]]
         ),
@@ -151,11 +169,29 @@ def _shading_normal(normal, inverse, geometric_normal) -> np.ndarray:
     return np.where(there[:, None], shading_normal, geometric_normal)
 
 
-def _base_color(scene: SceneView, rows: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    base = rows[:, 0:3].copy()
-    texture = rows[:, 3].astype(np.int64)
-    for index in np.unique(texture[texture >= 0]):
-        chosen = texture == index
-        # A surface reflects no more than it gets, whatever an image holds.
-        base[chosen] = np.clip(scene.textures[index].lookup(uv[chosen]), 0.0, 1.0)
-    return base
+def _apply_maps(scene: SceneView, hits: Hits, found: np.ndarray, material: np.ndarray) -> np.ndarray:
+    """Rows [n, 48] of materials, with the values of their maps. Shares stay shares, whatever an image holds: a surface
+    reflects no more than it gets."""
+    shapes = scene.shapes
+    rows = scene.materials[material].copy()
+    for index in np.unique(material):
+        chosen = np.flatnonzero(material == index)
+        start, count = rows[chosen[0], 40:42].astype(int)
+        for column, texture, channel, layer, *transform in scene.material_maps[start : start + count, :10]:
+            uv = np.zeros((len(chosen), 2))
+            if layer < len(shapes.uvs):
+                corners = shapes.uvs[int(layer), hits.triangle[found[chosen]]]
+                uv = np.einsum("nc,nci->ni", hits.weights[found[chosen]], corners)
+            uv = uv @ np.reshape(transform, (2, 3))[:, :2].T + np.reshape(transform, (2, 3))[:, 2]
+            texel = scene.textures[int(texture)].lookup(uv)
+            column = int(column)
+            if column == MATERIAL_COLUMNS["emission"]:
+                rows[chosen, column : column + 3] *= texel[:, :3]
+            elif column == MATERIAL_COLUMNS["normal"]:
+                rows[chosen, column : column + 3] = texel[:, :3]
+            elif channel < 0:
+                rows[chosen, column : column + 3] = np.clip(texel[:, :3], 0.0, 1.0)
+            else:
+                low, high = _RANGES.get(column, (0.0, 1.0))
+                rows[chosen, column] = np.clip(texel[:, int(channel)], low, high)
+    return rows

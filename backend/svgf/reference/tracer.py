@@ -26,7 +26,8 @@ class Tracer:
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
         self._shapes = Shapes([], *(np.zeros(0) for _ in range(9)))
-        self._materials = np.zeros((0, 16))
+        self._materials = np.zeros((0, 48))
+        self._material_maps = np.zeros((0, 12))
         self._textures: list[Texture] = []
         self._lights = Lights()
         self._world: tuple = ()
@@ -58,8 +59,9 @@ class Tracer:
             emitter,
         )
 
-    def set_materials(self, materials, textures: list[Texture]) -> None:
-        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 16)
+    def set_materials(self, materials, material_maps, textures: list[Texture]) -> None:
+        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 48)
+        self._material_maps = np.asarray(material_maps, dtype=np.float64).reshape(-1, 12)
         self._textures = list(textures)
 
     def set_lights(self, **columns) -> None:
@@ -101,7 +103,9 @@ class Tracer:
         )
         camera = Camera(camera_to_world, window, lens, width, height)
         previous_camera = Camera(previous_camera_to_world, previous_window, previous_lens, width, height)
-        scene = SceneView(self._shapes, self._materials, self._textures, self._lights, self._make_world())
+        scene = SceneView(
+            self._shapes, self._materials, self._material_maps, self._textures, self._lights, self._make_world()
+        )
         scene.lights.textures, scene.lights.world = scene.textures, scene.world
         limits = LightPaths(*light_paths)
         keys = pixel_keys(width, height, seed)
