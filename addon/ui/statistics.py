@@ -79,18 +79,39 @@ class SVGF_PT_effects(_StatisticsPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        scene = self.session(context).result.scene
+        result = self.session(context).result
         column = self.layout.column(align=True)
-        if scene is None:
+        if result.scene is None:
             return
-        causes = find_causes(scene)
+        column.operator("svgf.measure_effects", icon="TIME")
+        column.separator()
+        causes = find_causes(result.scene)
         for effect, names in causes.items():
-            column.label(text=effect_name(effect), icon="CHECKBOX_HLT")
+            row = column.row()
+            row.label(text=effect_name(effect), icon="CHECKBOX_HLT")
+            cell = row.row()
+            cell.alignment = "RIGHT"
+            cell.label(text=f"{result.costs[effect]:+.1f} ms" if effect in result.costs else "")
             more = f" and {len(names) - _CAUSES_SHOWN} more" if len(names) > _CAUSES_SHOWN else ""
             _write(column, context, ", ".join(names[:_CAUSES_SHOWN]) + more, "BLANK1")
         left_out = [effect_name(effect) for effect in Effects if effect not in causes]
         column.separator()
         _write(column, context, f"Not here, and not paid for: {', '.join(left_out)}", "CHECKBOX_DEHLT")
+
+
+class SVGF_OT_measure_effects(bpy.types.Operator):
+    """Render a few frames of this view with and without each effect, to tell what it costs"""
+
+    bl_idname = "svgf.measure_effects"
+    bl_label = "Measure What Each Costs"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(sessions_of(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        sessions_of(context.scene)[-1].measure_effects()
+        return {"FINISHED"}
 
 
 class SVGF_PT_warnings(_StatisticsPanel, bpy.types.Panel):
@@ -126,14 +147,14 @@ def _write(column: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
         column.label(text=line, icon="BLANK1" if number else icon)
 
 
-_PANELS = (SVGF_PT_cost, SVGF_PT_effects, SVGF_PT_warnings)
+_CLASSES = (SVGF_PT_cost, SVGF_OT_measure_effects, SVGF_PT_effects, SVGF_PT_warnings)
 
 
 def register() -> None:
-    for panel in _PANELS:
-        bpy.utils.register_class(panel)
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
 
 
 def unregister() -> None:
-    for panel in reversed(_PANELS):
-        bpy.utils.unregister_class(panel)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

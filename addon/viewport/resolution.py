@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How fine a view is rendered while it changes: only as coarse as the frame budget asks for. Nothing here knows Blender."""
+"""How fine a view is rendered while it changes: as coarse as the frame budget asks for. Nothing here knows Blender."""
 
 from __future__ import annotations
 

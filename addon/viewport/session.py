@@ -142,6 +142,10 @@ class ViewSession:
         size = {name: -(-getattr(defaults, name) // divisor) for name in ("width", "height")}
         return replace(scene, defaults=replace(defaults, **size))
 
+    def measure_effects(self) -> None:
+        """Asks the worker what each effect costs; a later result tells."""
+        self._worker.measure_effects()
+
     def status(self) -> str:
         """One line for the corner of the view."""
         result = self.result

@@ -7,11 +7,13 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from svgf.bench.effects import measure
 from svgf.devices import Device, open_device
+from svgf.effects import Effects
 from svgf.errors import DeviceError, Error, Interrupted
 from svgf.frame import Frame
 from svgf.renderer import Renderer
@@ -22,6 +24,7 @@ from .follow import follow, restart_reason
 from .picture import Look, paint
 
 _JOIN_SECONDS = 0.02
+_RUNS = 4  # launches with and without each effect that is measured
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -53,8 +56,9 @@ class Result:
     number: counts pictures and messages. request: the one that picture answers, as paint makes it. samples: frames
     since the view came to rest. reset: why history was last restarted. frames: frames since then. milliseconds: the
     newest frame, all in all. noise: standard deviation of the picture's luminance as a share of its mean, NaN where
-    unknown. history: the longest of a pixel, in frames. device: the hardware. error: what stops the picture from being renewed. note: what the user should know
-    besides.
+    unknown. history: the longest of a pixel, in frames. costs: milliseconds that each effect adds to a frame, where they
+    were asked for. device: the hardware. error: what stops the picture from being renewed. note: what the user should
+    know besides.
     """
 
     number: int = 0
@@ -68,6 +72,7 @@ class Result:
     milliseconds: float = 0.0
     noise: float = math.nan
     history: float = 0.0
+    costs: Mapping[Effects, float] = field(default_factory=dict)
     device: str = ""
     error: str = ""
     note: str = ""
@@ -82,6 +87,7 @@ class Worker:
         self._condition = threading.Condition()
         self._request: Request | None = None
         self._rendering: Request | None = None  # at this moment
+        self._measuring = False  # asked to, and not done yet
         self._stopping = False
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
         self._thread = threading.Thread(target=self._run, name="svgf view", daemon=True)
@@ -104,6 +110,12 @@ class Worker:
                 self._interrupt()
             if not self._stopping and not self._thread.is_alive():
                 self._thread.start()
+            self._condition.notify()
+
+    def measure_effects(self) -> None:
+        """The next result says what each effect of the scene costs. Until then no frame is rendered."""
+        with self._condition:
+            self._measuring = True
             self._condition.notify()
 
     @property
@@ -165,6 +177,7 @@ class Worker:
         return (
             self._is_new(request)
             or result.samples < request.sample_limit
+            or self._measuring
             or (done.look, done.part) != (request.look, request.part)
             or bool(result.error)  # of another request, so it is to be taken back
         )
@@ -182,6 +195,9 @@ class Worker:
         result = self.result
         if self._is_new(request) or result.samples < request.sample_limit:
             result = self._render(request)
+        if self._measuring:
+            self._measuring = False
+            result = replace(result, costs=self._measure_effects(request))
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
         self._done = request
@@ -224,6 +240,12 @@ class Worker:
             if self.result.frame is not None:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer
+
+    def _measure_effects(self, request: Request) -> dict[Effects, float]:
+        defaults = request.scene.defaults
+        size = defaults.width, defaults.height
+        rows = measure(self._prepare(request).device, request.scene.name, request.scene, size, request.settings.bounces, _RUNS)
+        return {Effects[row.what]: row.on_ms - row.off_ms for row in rows if row.what in Effects.__members__}
 
     def _averaged(self, frame: Frame, samples: int) -> Frame:
         """Without a denoiser, the mean of all frames since the view came to rest is the picture."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from blend import add_cube, add_light, export
 from svgf.devices import available_devices
+from svgf.effects import Effects, find_effects
 from svgf.errors import DeviceError, InputError, Interrupted
 from svgf.settings import Settings
 from svgf_blender.viewport import worker as module
@@ -280,6 +281,16 @@ def test_reset_reasons(worker, scene):
     motion = frame.motion.copy()
     motion[..., 0] = -frame.width
     assert colors(replace(new, motion=motion)) == {color("entered")}
+
+
+def test_costs_of_effects_come_when_asked_for(worker, scene):
+    result = ask(worker, scene)
+    assert not result.costs
+    worker.measure_effects()
+    measured = ask(worker, scene)
+    assert Effects.AREA_LIGHTS in measured.costs and measured.costs.keys() <= set(find_effects(scene))
+    assert measured.frame is result.frame and not worker.busy, "Measured once, and no frame is rendered for it."
+    assert ask(worker, scene, limit=5).costs == measured.costs
 
 
 def test_stopped_worker_ends_by_itself(worker, scene):
