@@ -125,9 +125,7 @@ OVERLAYS = {
         False,
         lambda frame: frame.noisy,
     ),
-    "albedo": Overlay(
-        "Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo
-    ),
+    "albedo": Overlay("Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo),
     "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal),
     "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth),
     "motion": Overlay(

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from svgf.bench.effects import measure
 from svgf.devices import Device, open_device
 from svgf.effects import Effects
 from svgf.errors import DeviceError, Error, Interrupted
@@ -242,9 +241,13 @@ class Worker:
         return renderer
 
     def _measure_effects(self, request: Request) -> dict[Effects, float]:
+        from svgf.bench.effects import measure  # seldom needed, so that views do not wait for it
+
         defaults = request.scene.defaults
         size = defaults.width, defaults.height
-        rows = measure(self._prepare(request).device, request.scene.name, request.scene, size, request.settings.bounces, _RUNS)
+        rows = measure(
+            self._prepare(request).device, request.scene.name, request.scene, size, request.settings.bounces, _RUNS
+        )
         return {Effects[row.what]: row.on_ms - row.off_ms for row in rows if row.what in Effects.__members__}
 
     def _averaged(self, frame: Frame, samples: int) -> Frame:

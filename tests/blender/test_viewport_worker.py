@@ -284,6 +284,7 @@ def test_reset_reasons(worker, scene):
 
 
 def test_costs_of_effects_come_when_asked_for(worker, scene):
+    pytest.importorskip("svgf.bench.effects")
     result = ask(worker, scene)
     assert not result.costs
     worker.measure_effects()

@@ -20,7 +20,8 @@ import gpu
 import numpy as np
 from window import areas, play, space, window
 
-from svgf.frame import Frame  # noqa: I001  (after window, which finds it)
+# After window, which finds them.
+from svgf.frame import Frame
 from svgf_blender.viewport.draw import PictureTexture
 from svgf_blender.viewport.picture import Look, paint
 from svgf_blender.viewport.worker import WHOLE

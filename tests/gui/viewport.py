@@ -18,8 +18,6 @@ from mathutils import Quaternion
 from window import override, picture, play, session, settled, space, start_engine
 from svgf_blender.viewport.picture import OVERLAYS
 
-from svgf.scene import Projection
-
 
 def script() -> Iterator[float]:
     scene = start_engine()
@@ -82,7 +80,7 @@ def script() -> Iterator[float]:
     space().region_3d.view_perspective = "ORTHO"
     yield 1.0
     yield from settled()
-    assert session().result.scene.camera.projection is Projection.ORTHOGRAPHIC
+    assert session().result.scene.camera.projection.name == "ORTHOGRAPHIC"
     yield from picture("orthographic")
 
     scene.svgf.method, scene.svgf.viewport_overlay = "none", "split"
