@@ -70,7 +70,7 @@ _LIGHT_PATHS = {
     "refractive_caustics": "Light that a diffuse surface gets through glass; the main source of noise",
     "clamp_direct": "Largest light of one sample that comes straight from a lamp; 0 keeps all, and no energy is lost",
     "clamp_indirect": "Largest light of one sample that comes by other surfaces; 0 keeps all, and no energy is lost",
-    "filter_glossy": "Blurs reflections that are seen by way of other surfaces, which lessens noise; 0 keeps them sharp",
+    "filter_glossy": "Blurs reflections that are seen by way of others, which lessens noise; 0 keeps them sharp",
 }
 
 

@@ -55,7 +55,7 @@ class Result:
     number: counts pictures and messages. request: the one that picture answers, as paint makes it. samples: frames
     since the view came to rest. reset: why history was last restarted. frames: frames since then. milliseconds: the
     newest frame, all in all. noise: standard deviation of the picture's luminance as a share of its mean, NaN where
-    unknown. history: the longest of a pixel, in frames. costs: milliseconds that each effect adds to a frame, where they
+    unknown. history: the longest of a pixel, in frames. costs: milliseconds that each effect adds to a frame, if they
     were asked for. device: the hardware. error: what stops the picture from being renewed. note: what the user should
     know besides.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a view costs besides tracing, for pictures of 1920x1080: painting in the worker's thread, then upload and draw in
+"""What a view costs besides tracing, for pictures of 1920x1080: painting in the worker's thread, upload and draw in
 Blender's main thread. Medians, in milliseconds; Blender's window system decides what they mean (see its GPU backend).
 
 See window.py. Takes nothing.
