@@ -104,8 +104,10 @@ def find_causes(scene: Scene) -> dict[Effects, tuple[str, ...]]:
             blame(f'mesh "{scene.meshes[index].name}"', Effects.DEFORMATION)
     blame("the world", Effects.ENVIRONMENT | Effects.ENVIRONMENT_MAP)
     blame("the camera", Effects.CAMERA_MOTION | Effects.DEPTH_OF_FIELD)
-    moving = scene.instances.object_to_world != scene.instances.previous_object_to_world
-    blame(f"{int(moving.any(axis=(1, 2)).sum())} objects", Effects.OBJECT_MOTION)
+    if Effects.OBJECT_MOTION in found:
+        moving = scene.instances.object_to_world != scene.instances.previous_object_to_world
+        count = int(moving.any(axis=(1, 2)).sum())
+        blame(f"{count} moving instance{'s' if count > 1 else ''}", Effects.OBJECT_MOTION)
     blame("settings of objects, lamps or the world", Effects.RAY_VISIBILITY)
     blame("the render settings", Effects.LIGHT_PATH_LIMITS)
     blame(f"{len(scene.lights)} lamps", Effects.MANY_LIGHTS)
