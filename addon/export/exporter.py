@@ -15,7 +15,7 @@ from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults,
 
 from .camera import export_camera, render_size
 from .changes import Changes
-from .findings import Findings
+from .findings import Finding, Findings
 from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialTable
 from .meshes import MeshCache
@@ -84,6 +84,7 @@ class Exporter:
 
     def __init__(self) -> None:
         self.counters = ExportCounters()
+        self.findings: tuple[Finding, ...] = ()  # of the last call
         self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
         self._textures = TextureCache()
@@ -213,6 +214,7 @@ class Exporter:
             name=scene.name,
             warnings=findings.sentences(),
         )
+        self.findings = findings.found()
         self._count(self._last, last, full=changed is None)
         return self._last
 
