@@ -25,6 +25,19 @@ __global__ void __launch_bounds__(threads, blocks)
 }
 
 template <class Stage>
+__global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::blocks)
+    run_tiles(const __grid_constant__ Stage stage) {
+    using Tile = typename Stage::Tile;
+    // Raw bytes: shared memory has no constructors.
+    __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
+    Tile& tile = *reinterpret_cast<Tile*>(memory);
+    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += Stage::threads_x * Stage::threads_y)
+        stage.load(tile, blockIdx.x, blockIdx.y, i);
+    __syncthreads();
+    stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
+}
+
+template <class Stage>
 __global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage stage, int count) {
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i < count) stage(i);
@@ -57,6 +70,15 @@ public:
         const dim3 block(shape.width, shape.height);
         const dim3 grid((width + shape.width - 1) / shape.width, (height + shape.height - 1) / shape.height);
         run_stage<Stage, shape.width * shape.height, shape.blocks><<<grid, block, 0, stream_>>>(stage, width, height);
+        end_stage(name);
+    }
+
+    // See device/device.h.
+    template <class Stage>
+    void launch_tiles(const char* name, const Stage& stage) {
+        begin_stage(name);
+        const dim3 block(Stage::threads_x, Stage::threads_y), grid(stage.tile_columns(), stage.tile_rows());
+        run_tiles<<<grid, block, 0, stream_>>>(stage);
         end_stage(name);
     }
 
