@@ -19,6 +19,7 @@
 #include <variant>
 
 #include "denoise/denoiser.h"
+#include "device/bandwidth.h"
 #include "device/device.h"
 #include "trace/tracer.h"
 
@@ -288,6 +289,25 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
     return result;
 }
 
+// --- Device ----------------------------------------------------------------------------------------------------------
+
+// A numpy image, float32 or int32 [H, W] or [H, W, C], as this device's tracers and denoisers return theirs.
+nb::object upload(Device& device, nb::object image) {
+#if defined(SVGF_CUDA)
+    const auto convert = [&]<class Value>(const HostArray<Value>& array) {
+        if (array.ndim() < 2 || array.ndim() > 3) throw InputError("An image has two or three dimensions.");
+        return give_image(Buffer<Value>(device, span_of(array), "an input image"), int(array.shape(1)),
+                          int(array.shape(0)), array.ndim() == 3 ? int(array.shape(2)) : 1);
+    };
+    HostArray<int32_t> ids;
+    if (nb::try_cast(image, ids, false)) return convert(ids);
+    return convert(nb::cast<HostArray<float>>(image));
+#else
+    (void)device;
+    return image;
+#endif
+}
+
 // --- Denoiser --------------------------------------------------------------------------------------------------------
 
 DenoiseSettings read_settings(const nb::dict& values) {
@@ -402,7 +422,10 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
-        .def("to_numpy", &to_numpy, "image"_a);
+        .def("to_numpy", &to_numpy, "image"_a)
+        .def("upload", &upload, "image"_a)
+        .def("copy_bandwidth", &measure_copy_bandwidth, "bytes"_a, "repetitions"_a,
+             nb::call_guard<nb::gil_scoped_release>());
 
 #if defined(SVGF_CUDA)
     nb::class_<DeviceImage>(module, "DeviceImage")
@@ -452,6 +475,11 @@ NB_MODULE(SVGF_MODULE, module) {
         }, "settings"_a)
         .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
         .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("traffic", [](const Denoiser& denoiser) {
+            nb::dict result;
+            for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;
+            return result;
+        }, "Bytes that each stage of the last frame had to move at least.")
         .def("buffers", [](const Denoiser& denoiser) {
             std::vector<std::pair<std::string, size_t>> buffers;
             for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);

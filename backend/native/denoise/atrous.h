@@ -97,6 +97,9 @@ struct Atrous {
     typename Storage::Color in_color[Signals];
     Sink sink;
 
+    int bytes_per_pixel() const {
+        return Storage::guide_bytes + Signals * Storage::color_bytes + sink.sink_bytes_per_pixel();
+    }
     int tile_columns() const { return lattice.tile_columns(); }
     int tile_rows() const { return lattice.tile_rows(); }
     SVGF_HD int loads() const { return lattice.width * lattice.height; }
@@ -239,6 +242,8 @@ template <class Storage, int Signals>
 struct StoreColor {
     typename Storage::Color out_color[Signals];
 
+    int sink_bytes_per_pixel() const { return Signals * Storage::color_bytes; }
+
     SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
         for (int s = 0; s < Signals; ++s) out_color[s].store(pixel, color[s]);
     }
@@ -251,6 +256,8 @@ struct EdgeAvoiding {
     int level;
     float sigma_color, sigma_normal, sigma_position;  // sigma_color: of level 0
     FloatStorage::Color in_color[Signals], out_color[Signals];
+
+    int bytes_per_pixel() const { return 16 + Signals * 2 * FloatStorage::color_bytes; }
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y), step = 1 << level;

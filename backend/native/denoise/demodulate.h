@@ -41,6 +41,13 @@ struct Demodulate {
     typename Storage::Guides out_guides;
     int* out_repaired;
 
+    int bytes_per_pixel() const {
+        int bytes = Storage::guide_bytes + 12 + 4 + (in_depth_gradient ? 8 : 0) + (in_object_id ? 4 : 0);
+        for (int s = 0; s < Signals; ++s)
+            bytes += 12 + (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0) + Storage::color_bytes;
+        return bytes;
+    }
+
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = y * width + x;
         int repaired = 0;

@@ -135,11 +135,34 @@ void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& output
     }
 }
 
+void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
+    const size_t bytes = bytes_per_pixel * pixels();
+    for (auto& [known, total] : traffic_)
+        if (known == name) {
+            total += bytes;
+            return;
+        }
+    traffic_.emplace_back(name, bytes);
+}
+
+template <class Stage>
+void Denoiser::launch(const char* name, const Stage& stage) {
+    add_traffic(name, stage.bytes_per_pixel());
+    device_.launch(name, width_, height_, stage);
+}
+
+template <class Stage>
+void Denoiser::launch_tiles(const char* name, const Stage& stage) {
+    add_traffic(name, stage.bytes_per_pixel());
+    device_.launch_tiles(name, stage);
+}
+
 template <class Method, int Signals>
 void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = typename Method::Storage;
     if (Signals * Storage::color_bytes <= borrowed_bytes) borrowed_ = reinterpret_cast<std::byte*>(outputs.color);
     else borrowed_ = nullptr;
+    traffic_.clear();
     demodulate<Storage, Signals>(inputs);
     Place place = Place::working;
     if (is_temporal()) {
@@ -160,7 +183,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         if (last >= 1)
             atrous<Method, Signals>("atrous and modulate", last, place, modulate_stage);
         else
-            device_.launch("modulate", width_, height_, modulate_stage);
+            launch("modulate", modulate_stage);
         moments_.swap(previous_moments_);
         guides_.swap(previous_guides_);
         has_history_ = true;
@@ -170,7 +193,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
             edge_avoiding<Signals>(level, inputs.window, place, next);
             place = next;
         }
-        device_.launch("modulate", width_, height_, modulate<Storage, Signals>(inputs, outputs, place));
+        launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
     }
 }
 
@@ -192,7 +215,7 @@ void Denoiser::demodulate(const DenoiseInputs& inputs) {
         for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
         stage.out_illumination[s] = color_of<Storage>(Place::working, s);
     }
-    device_.launch("demodulate", width_, height_, stage);
+    launch("demodulate", stage);
 }
 
 // In place: working becomes the mean with its variance over time, and no other pixel reads it.
@@ -214,7 +237,7 @@ void Denoiser::temporal(const DenoiseInputs& inputs) {
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    device_.launch("temporal", width_, height_, stage);
+    launch("temporal", stage);
 }
 
 // In place: only the variance of working changes, and no other pixel reads it.
@@ -230,7 +253,7 @@ void Denoiser::variance() {
         stage.in_moments[s] = moments_of<Storage>(moments_, s);
         stage.out_color[s] = color_of<Storage>(Place::working, s);
     }
-    device_.launch("variance", width_, height_, stage);
+    launch("variance", stage);
 }
 
 template <class Method, int Signals, class Sink>
@@ -244,7 +267,7 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
     stage.sigma_luminance = settings_.sigma_luminance;
     for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
     stage.sink = sink;
-    device_.launch_tiles(name, stage);
+    launch_tiles(name, stage);
 }
 
 template <class Method, int Signals>
@@ -268,7 +291,7 @@ void Denoiser::edge_avoiding(int level, const Vec4& window, Place from, Place to
         stage.in_color[s] = color_of<FloatStorage>(from, s);
         stage.out_color[s] = color_of<FloatStorage>(to, s);
     }
-    device_.launch("atrous", width_, height_, stage);
+    launch("atrous", stage);
 }
 
 template <class Storage, int Signals>
@@ -519,8 +542,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         }
         Buffer<float> color(device_, 3 * pixels, "color"), spread(device_, pixels, "variance"),
             length(device_, pixels, "history length");
-        device_.launch("modulate", width_, height_,
-                       modulate<Storage, Signals>(inputs, {color.data(), spread.data(), length.data()}, Place::working));
+        launch("modulate", modulate<Storage, Signals>(inputs, {color.data(), spread.data(), length.data()}, Place::working));
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
     } else {

@@ -94,6 +94,10 @@ public:
     // Takes effect at the next frame, history stays.
     void set_settings(const DenoiseSettings& settings) { settings_ = settings; }
 
+    // Bytes that each stage of the last frame had to move at least: every image that it reads or writes, once.
+    using Traffic = std::vector<std::pair<std::string, size_t>>;
+    const Traffic& traffic() const { return traffic_; }
+
     // Values of the last frame's (or stage's) inputs and history that were repaired. Waits for the device.
     int repaired() const;
 
@@ -143,6 +147,10 @@ private:
     template <class Method, int Signals>
     HostImages run_stage_of(const std::string& stage, const HostImages& arrays, int level);
 
+    template <class Stage> void launch(const char* name, const Stage& stage);
+    template <class Stage> void launch_tiles(const char* name, const Stage& stage);
+    void add_traffic(const char* name, int bytes_per_pixel);
+
     Device& device_;
     int width_, height_;
     DenoiseMethod method_;
@@ -154,6 +162,7 @@ private:
     Memory moments_, previous_moments_;     // of luminance, likewise
     std::byte* borrowed_ = nullptr;         // the caller's colour image as working memory, during a frame
     Buffer<int> repaired_;
+    Traffic traffic_;
 };
 
 }  // namespace svgf

@@ -19,6 +19,13 @@ struct Modulate {
     float* out_history_length;  // [H, W] frames
     int* out_repaired;
 
+    int bytes_per_pixel() const { return sink_bytes_per_pixel() + Signals * Storage::color_bytes + 4; }
+    int sink_bytes_per_pixel() const {
+        int bytes = (in_emission ? 12 : 0) + 12 + 4 + 4;
+        for (int s = 0; s < Signals; ++s) bytes += (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0);
+        return bytes;
+    }
+
     SVGF_HD void operator()(int x, int y) const {
         Vec4 filtered[Signals];
         for (int s = 0; s < Signals; ++s) filtered[s] = in_color[s][guides.pixel(x, y)];

@@ -23,7 +23,7 @@ struct FrameSize {
 };
 
 struct FloatStorage {
-    static constexpr int guide_bytes = 32, color_bytes = 16, moments_bytes = 8;
+    static constexpr int guide_bytes = 32, length_bytes = 4, color_bytes = 16, moments_bytes = 8;
 
     struct Guides : FrameSize {
         Guides() = default;
@@ -89,7 +89,7 @@ struct PackedStorage {
         uint16_t object_id;  // of 32 bits, hashed; 0 stays 0 and nothing else becomes it
         uint16_t length;     // sixteenths of a frame; stays at 4095 when it gets there
     };
-    static constexpr int guide_bytes = sizeof(Guide), color_bytes = sizeof(PackedColor), moments_bytes = 4;
+    static constexpr int guide_bytes = sizeof(Guide), length_bytes = guide_bytes, color_bytes = sizeof(PackedColor), moments_bytes = 4;
 
     struct Guides : FrameSize {
         Guides() = default;

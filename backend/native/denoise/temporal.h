@@ -40,6 +40,12 @@ struct Temporal {
     typename Storage::Moments out_moments[Signals];
     int* out_repaired;
 
+    int bytes_per_pixel() const {
+        const int history = Signals * (Storage::color_bytes + Storage::moments_bytes) + Storage::guide_bytes;
+        return Storage::guide_bytes + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) +
+               (in_motion ? 4 * motion_channels : 0) + (prev_guides ? history : 0);
+    }
+
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y);
         Mean old;

@@ -21,6 +21,8 @@ struct Variance {
     int spatial_variance_frames;
     typename Storage::Color out_color[Signals];  // the variance alone is written
 
+    int bytes_per_pixel() const { return Storage::length_bytes; }  // once history is long enough
+
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y);
         if (guides.length(pixel) >= float(spatial_variance_frames)) return;

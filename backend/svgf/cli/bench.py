@@ -20,6 +20,7 @@ from .options import DeviceOption, JsonOption, parse_size
 
 if TYPE_CHECKING:
     from ..bench.accuracy import Accuracy
+    from ..bench.denoise import BufferSize, StageCost
     from ..bench.stages import StageTime
     from ..renderer import Renderer
     from ..scene import Scene
@@ -135,6 +136,60 @@ def accuracy(
         _print_accuracy(rows, title)
 
 
+@app.command()
+def denoise(
+    sizes: Annotated[
+        list[str] | None,
+        typer.Option("--size", metavar="WxH", help="Pixels; may be given again. Default: 720p, 1080p and 2160p."),
+    ] = None,
+    device: DeviceOption = "auto",
+    methods: Annotated[
+        list[str] | None, typer.Option("--method", metavar="NAME", help="May be given again.", show_default=False)
+    ] = None,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure.")] = 64,
+    warm_up: Annotated[int, typer.Option(metavar="N", min=0, help="Frames before them.")] = 16,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw milliseconds beside the copy's as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The denoiser alone: milliseconds, bytes and bandwidth of every stage beside a plain copy's, and its memory."""
+    from ..bench.denoise import SIZES, BufferSize, StageCost, measure, plot
+    from ..devices import open_device
+    from ..io.files import replacing
+    from .progress import progress_bar
+
+    opened = open_device(device)
+    cases = [
+        (method, size, signals)
+        for method in methods or ["svgf"]
+        for size in ([parse_size(size) for size in sizes] if sizes else SIZES)
+        for signals in (1, 2)
+    ]
+    costs: list[StageCost] = []
+    buffers: list[BufferSize] = []
+    with progress_bar("Measuring", (warm_up + count) * len(cases)) as bar:
+        for method, image_size, signals in cases:
+            more_costs, more_buffers = measure(opened, method, image_size, signals, count, warm_up, step=bar.step)
+            costs += more_costs
+            buffers += more_buffers
+    title = f"{opened.description} ({opened.name}): median ms of {count} frames"
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(costs).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot(costs, title))
+    if as_json:
+        rows = {"stages": [asdict(row) for row in costs], "buffers": [asdict(row) for row in buffers]}
+        typer.echo(json.dumps({"title": title, **rows}, indent=1))
+    else:
+        _print_denoise(costs, buffers, title)
+
+
 def _paths(files: list[Path] | None) -> list[Path]:
     from .sources import shipped_scenes
 
@@ -164,7 +219,7 @@ def _timed(scenes: Iterator[Scene], most: int) -> Iterator[tuple[Scene, float]]:
         yield scene, (time.perf_counter() - start) * 1e3
 
 
-def _csv(rows: Sequence[StageTime] | Sequence[Accuracy]) -> str:
+def _csv(rows: Sequence[StageTime] | Sequence[Accuracy] | Sequence[StageCost]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
     writer.writeheader()
@@ -215,3 +270,41 @@ def _print_accuracy(rows: list[Accuracy], title: str) -> None:
     console = Console(highlight=False)
     console.print(title, markup=False, soft_wrap=True)
     console.print(table)
+
+
+def _print_denoise(costs: list[StageCost], buffers: list[BufferSize], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..bench.denoise import ALL
+
+    table = Table("method", "size", "signals", "stage")
+    for heading in ("ms", "B/pixel", "GB/s", "copy, ms"):
+        table.add_column(heading, justify="right")
+    for cost in costs:
+        table.add_row(
+            cost.method,
+            f"{cost.width}x{cost.height}",
+            str(cost.signals),
+            cost.stage,
+            f"{cost.milliseconds:.4f}",
+            f"{cost.bytes / (cost.width * cost.height):.0f}",
+            f"{cost.bandwidth:.0f}",
+            f"{cost.floor_milliseconds:.4f}",
+            end_section=cost.stage == ALL,
+        )
+    memory = Table("method", "signals", "buffer")
+    memory.add_column("B/pixel", justify="right")
+    cases = list(dict.fromkeys((row.method, row.signals) for row in buffers))
+    for method, signals in cases:
+        # The largest image, where what does not grow with it counts least.
+        rows = [row for row in buffers if (row.method, row.signals) == (method, signals)]
+        rows = [row for row in rows if (row.width, row.height) == (rows[-1].width, rows[-1].height)]
+        for row in rows:
+            memory.add_row(method, str(signals), row.buffer, f"{row.bytes_per_pixel:.2f}")
+        total = sum(row.bytes_per_pixel for row in rows)
+        memory.add_row(method, str(signals), "all", f"{total:.2f}", end_section=True)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+    console.print(memory)
