@@ -72,9 +72,12 @@ struct DeviceImage {
     }
 };
 
-// The capsule keeps the image alive, and with it the device. Order with other streams: see device/cuda.h.
-nb::object dlpack_capsule(nb::handle self, nb::args, nb::kwargs) {
+// The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
+// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted), which is made to wait for the image.
+nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
     auto& image = nb::cast<DeviceImage&>(self);
+    if (stream.value_or(1) != -1)
+        std::visit([&](auto& buffer) { buffer.device().let_wait(uintptr_t(stream.value_or(1))); }, image.pixels);
     const size_t shape[3] = {size_t(image.height), size_t(image.width), size_t(image.channels)};
     return std::visit(
         [&](auto& buffer) {
@@ -327,7 +330,7 @@ Vec4 read_window(const nb::dict& images) {
     return {float(window[0]), float(window[1]), float(window[2]), float(window[3])};
 }
 
-nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
+nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -335,6 +338,8 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
     ImageReader reader(device, images, width, height);
     DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
     inputs.window = read_window(images);
+    denoiser.prepare(inputs.signals);  // on the device's own stream, which outlives the caller's
+    const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
     Buffer<float> variance(device, pixels, "the variance image"), history_length(device, pixels, "the history image");
     {
@@ -429,7 +434,7 @@ NB_MODULE(SVGF_MODULE, module) {
 
 #if defined(SVGF_CUDA)
     nb::class_<DeviceImage>(module, "DeviceImage")
-        .def("__dlpack__", &dlpack_capsule)
+        .def("__dlpack__", &dlpack_capsule, nb::kw_only(), "stream"_a = nb::none(), "kwargs"_a)
         .def("__dlpack_device__", [](const DeviceImage& image) {
             return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); }, image.pixels);
         })
@@ -469,7 +474,7 @@ NB_MODULE(SVGF_MODULE, module) {
             if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
-        .def("denoise", &denoise, "inputs"_a, "reset"_a)
+        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none())
         .def("set_settings", [](Denoiser& denoiser, const nb::dict& settings) {
             denoiser.set_settings(read_settings(settings));
         }, "settings"_a)

@@ -76,7 +76,11 @@ Denoiser::Denoiser(Device& device, int width, int height, DenoiseMethod method, 
     : device_(device), width_(width), height_(height), method_(method), settings_(settings) {
     repaired_ = Buffer<int>(device, 1, "repair counter");
     repaired_.clear();
-    with_method([&]<class Method>() { allocate<typename Method::Storage>(1); });
+    prepare(1);
+}
+
+void Denoiser::prepare(int signals) {
+    with_method([&]<class Method>() { allocate<typename Method::Storage>(signals); });
 }
 
 template <class Storage>
@@ -122,7 +126,7 @@ typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
 }
 
 void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset) {
-    with_method([&]<class Method>() { allocate<typename Method::Storage>(inputs.signals); });
+    prepare(inputs.signals);
     if (reset || inputs.signals != signals_) has_history_ = false;
     signals_ = inputs.signals;
     try {

@@ -85,8 +85,11 @@ struct Modulate;
 
 class Denoiser {
 public:
-    // width, height >= 1. Allocates the buffers of one signal; the first frame with two adds the other's.
+    // width, height >= 1. Allocates what one signal needs.
     Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings);
+
+    // Allocates what so many signals need; a frame with more than all before does it, too.
+    void prepare(int signals);
 
     // One frame. reset forgets the history first, as does another number of signals than last frame's.
     void denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset);

@@ -6,7 +6,9 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -64,6 +66,11 @@ public:
             for (size_t i = begin; i < end; ++i) stage(int(i));
         });
     }
+
+    // For the same source as on CUDA; there are no streams here.
+    struct StreamScope {
+        StreamScope(Device&, std::optional<uintptr_t>) {}
+    };
 
     // Milliseconds per name since the last call, in launch order.
     std::vector<std::pair<std::string, double>> take_timings() { return std::exchange(timings_, {}); }
