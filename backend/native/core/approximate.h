@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // exp2, log2 and 1/x as fast as the device can. On the GPU these are single instructions; their errors, by the CUDA
-// programming guide: exp2 2 ulp + x 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 (else 2 ulp), 1/x 1 ulp.
+// programming guide: exp2 2 ulp + x 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 (else 2 ulp), 1/x 1 ulp, 1/sqrt(x) 2 ulp, sqrt 2 ulp.
 // Denormals count as 0. The host's are correctly rounded or nearly so.
 #pragma once
 
@@ -38,6 +38,16 @@ SVGF_HD inline float fast_reciprocal(float x) {
     return y;
 #else
     return 1.0f / x;
+#endif
+}
+
+SVGF_HD inline float fast_reciprocal_sqrt(float x) {
+#if defined(__CUDA_ARCH__)
+    float y;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+    return y;
+#else
+    return 1.0f / std::sqrt(x);
 #endif
 }
 

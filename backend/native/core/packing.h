@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <cstring>
 
+#include "core/approximate.h"
 #include "core/bits.h"
 #include "core/vec.h"
 
@@ -30,12 +31,12 @@ SVGF_HD inline uint32_t encode_positive(float value, float noise = 0.5f) {
 }
 template <int mantissa>
 SVGF_HD inline float decode_positive(uint32_t code) {
-    return code ? float_from_bits((code << (23 - mantissa)) + (64u << 23)) : 0.0f;
+    return float_from_bits(code << (23 - mantissa)) * 18446744073709551616.0f;  // 2^64
 }
 
 // Colour >= 0 and a standard deviation in 8 bytes. The channels share the exponent of the largest one: each is good to
 // 2^-15 of it, 16 times better than half, so that a long running mean does not get stuck. Up to 2^63.
-struct PackedColor {
+struct alignas(8) PackedColor {
     uint32_t low = 0, high = 0;  // r 14, g 14, exponent 4 | b 14, deviation 15, exponent 3; from the lowest bit
 };
 
@@ -73,12 +74,7 @@ SVGF_HD inline Vec3 decode_normal(uint32_t packed) {
     const float z = 1.0f - std::fabs(u) - std::fabs(v), fold = max(-z, 0.0f);
     u += u < 0.0f ? fold : -fold;
     v += v < 0.0f ? fold : -fold;
-    const float squared = u * u + v * v + z * z;
-#if defined(__CUDA_ARCH__)
-    return Vec3{u, v, z} * rsqrtf(squared);
-#else
-    return Vec3{u, v, z} * (1.0f / std::sqrt(squared));
-#endif
+    return Vec3{u, v, z} * fast_reciprocal_sqrt(u * u + v * v + z * z);
 }
 
 }  // namespace svgf

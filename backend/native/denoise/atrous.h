@@ -40,20 +40,19 @@ SVGF_HD constexpr float kernel_log2(int i, int j) {
 }
 SVGF_HD constexpr float gaussian(int distance) { return distance == 0 ? 0.5f : 0.25f; }
 
-// Where the tiles of a level lie: 32 x 16 pixels of a lattice with spacing 2^level, `phases` neighbouring columns of it.
+// Columns of the lattice that a tile takes together.
+constexpr int most_phases_log2 = 2;
+
+// Where the tiles of a level lie: 32 x 16 pixels of a lattice with spacing 2^level, 2^phases_log2 neighbouring columns of
+// it, with a margin for the taps.
+template <int radius, int phases_log2>
 struct Lattice {
-    static constexpr int columns = 32, rows = 16, most_phases_log2 = 2;
+    static constexpr int columns = 32, rows = 16;
+    static constexpr int margin = radius << phases_log2;  // columns
+    static constexpr int width = columns + 2 * margin, height = rows + 2 * radius;
+    static constexpr int right = 1 << phases_log2, below = width;  // from a place to that of the next tap
 
-    Lattice() = default;
-    Lattice(int image_width, int image_height, int level, int radius)
-        : level(level), phases_log2(min(level, most_phases_log2)), radius(radius), margin(radius << phases_log2),
-          width(columns + 2 * margin), height(rows + 2 * radius), inverse_width((65536u + width - 1) / width),
-          image_width(image_width), image_height(image_height) {}
-
-    int level = 0, phases_log2 = 0;
-    int radius = 0, margin = 0;  // rows and columns around a tile
-    int width = 0, height = 0;   // of a tile with its margins
-    unsigned inverse_width = 0;  // of 2^16, rounded up: i / width is i inverse_width >> 16 for every i in a tile
+    int level = 0;  // at least phases_log2
     int image_width = 0, image_height = 0;
 
     int tile_columns() const { return divide_up(image_width, span_x_log2()) << (level - phases_log2); }
@@ -78,17 +77,18 @@ private:
 };
 
 // sink(pixel, color) takes the result: rgb and variance of each signal.
-template <class Method, int Signals, class Sink>
+template <class Method, int Signals, int PhasesLog2, class Sink>
 struct Atrous {
     using Storage = typename Method::Storage;
     static constexpr int radius = Method::radius, rows_per_thread = 2;
-    static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread, blocks = 2;
+    using Lattice = svgf::Lattice<radius, PhasesLog2>;
+    static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
+    static constexpr int blocks = Method::radius == 1 && Signals == 1 ? 4 : 3;  // fastest on an H200
 
     struct Tile {
-        static constexpr int capacity =
-            (Lattice::columns + (2 * radius << Lattice::most_phases_log2)) * (Lattice::rows + 2 * radius);
-        Vec4 surface[capacity];  // normal, depth; depth is infinity where there is nothing to filter
-        Vec4 color[Signals][capacity];
+        static constexpr int places = Lattice::width * Lattice::height;
+        Vec4 surface[places];  // normal, depth; depth is infinity where there is nothing to filter
+        Vec4 color[Signals][places];
     };
 
     typename Storage::Guides guides;
@@ -102,10 +102,10 @@ struct Atrous {
     }
     int tile_columns() const { return lattice.tile_columns(); }
     int tile_rows() const { return lattice.tile_rows(); }
-    SVGF_HD int loads() const { return lattice.width * lattice.height; }
+    SVGF_HD int loads() const { return Tile::places; }
 
     SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
-        const int row = int(unsigned(place) * lattice.inverse_width >> 16), column = place - row * lattice.width;
+        const int row = place / Lattice::width, column = place % Lattice::width;
         const int x = lattice.x(tile_column, column), y = lattice.y(tile_row, row);
         Vec4 surface = {0.0f, 0.0f, 0.0f, infinity}, color[Signals];
         if (guides.contains(x, y)) {
@@ -119,11 +119,11 @@ struct Atrous {
     }
 
     SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
-        const int column = thread_x + lattice.margin, row = thread_y * rows_per_thread + radius;
+        const int column = thread_x + Lattice::margin, row = thread_y * rows_per_thread + radius;
         const int x = lattice.x(tile_column, column), upper_y = lattice.y(tile_row, row),
                   lower_y = lattice.y(tile_row, row + 1);
         if (x >= guides.width || upper_y >= guides.height) return;
-        const int upper = row * lattice.width + column, lower = upper + lattice.width;
+        const int upper = row * Lattice::width + column, lower = upper + Lattice::below;
         const bool has_lower = lower_y < guides.height;
         Pixel pixels[rows_per_thread] = {{*this, tile, upper, x, upper_y},
                                          {*this, tile, lower, x, has_lower ? lower_y : upper_y}};
@@ -131,7 +131,7 @@ struct Atrous {
         for (int j = -radius; j < radius + rows_per_thread; ++j) {
             SVGF_UNROLL
             for (int i = -radius; i <= radius; ++i) {
-                const int place = upper + j * lattice.width + i * (1 << lattice.phases_log2);
+                const int place = upper + j * Lattice::below + i * Lattice::right;
                 const Vec4 surface = tile.surface[place];
                 Vec4 color[Signals];
                 float light[Signals];
@@ -161,12 +161,12 @@ private:
         SVGF_HD Pixel(const Atrous& stage, const Tile& tile, int place, int x, int y)
             : edge(tile.surface[place], stage.guides.gradient(stage.guides.pixel(x, y)), stage.sigma_depth,
                    stage.sigma_normal) {
-            const int step = 1 << stage.lattice.level;
+            const float step = float(1 << stage.lattice.level);
             SVGF_UNROLL
             for (int j = 0; j <= radius; ++j)
                 SVGF_UNROLL
                 for (int i = -radius; i <= radius; ++i)
-                    if (j > 0 || i > 0) depth_scale[j][i + radius] = edge.depth_scale(i * step, j * step);
+                    if (j > 0 || i > 0) depth_scale[j][i + radius] = edge.depth_scale(i, j, step);
             float variance[Signals];
             stage.prefilter_variance(tile, place, x, y, variance);
             SVGF_UNROLL
@@ -198,7 +198,7 @@ private:
         SVGF_HD void finish(const Atrous& stage, const Tile& tile, int place, int pixel) const {
             Vec4 result[Signals];
             for (int s = 0; s < Signals; ++s) {
-                const float scale = 1.0f / weight[s];
+                const float scale = fast_reciprocal(weight[s]);
                 result[s] = {sum[s].x * scale, sum[s].y * scale, sum[s].z * scale, sum[s].w * scale * scale};
                 if (!is_surface(edge.depth)) {  // it stays as it is
                     result[s] = tile.color[s][place];
@@ -211,7 +211,10 @@ private:
 
     // g_3x3(Var) [Schied17, Eq. 5] around a pixel that stands in the tile's `place`.
     SVGF_HD void prefilter_variance(const Tile& tile, int place, int x, int y, float (&variance)[Signals]) const {
-        const int step = 1 << lattice.level, spacing = Method::prefilter_spacing(step);
+        if constexpr (Method::prefilters_first_level_only && PhasesLog2 > 0) {
+            for (int s = 0; s < Signals; ++s) variance[s] = tile.color[s][place].w;
+            return;
+        }
         float weight = 0.0f;
         for (int s = 0; s < Signals; ++s) variance[s] = 0.0f;
         SVGF_UNROLL
@@ -219,13 +222,13 @@ private:
             SVGF_UNROLL
             for (int i = -1; i <= 1; ++i) {
                 const float w = gaussian(i) * gaussian(j);
-                if (spacing == step) {
-                    const int tap = place + j * lattice.width + i * (1 << lattice.phases_log2);
+                if constexpr (PhasesLog2 == 0) {  // the taps are the neighbours
+                    const int tap = place + j * Lattice::below + i * Lattice::right;
                     if (!is_surface(tile.surface[tap].w)) continue;
                     weight += w;
                     for (int s = 0; s < Signals; ++s) variance[s] += w * tile.color[s][tap].w;
                 } else {
-                    const int tap_x = x + i * spacing, tap_y = y + j * spacing;
+                    const int tap_x = x + i, tap_y = y + j;
                     if (!guides.contains(tap_x, tap_y)) continue;
                     const int tap = guides.pixel(tap_x, tap_y);
                     if (!is_surface(guides.depth(tap))) continue;
@@ -233,7 +236,7 @@ private:
                     for (int s = 0; s < Signals; ++s) variance[s] += w * in_color[s].variance(tap);
                 }
             }
-        for (int s = 0; s < Signals; ++s) variance[s] *= 1.0f / max(weight, 1e-30f);
+        for (int s = 0; s < Signals; ++s) variance[s] *= fast_reciprocal(max(weight, 1e-30f));
     }
 };
 

@@ -263,15 +263,21 @@ void Denoiser::variance() {
 template <class Method, int Signals, class Sink>
 void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink) {
     using Storage = typename Method::Storage;
-    Atrous<Method, Signals, Sink> stage;
-    stage.guides = guides_of<Storage>(guides_);
-    stage.lattice = Lattice(width_, height_, level, Method::radius);
-    stage.sigma_depth = settings_.sigma_depth;
-    stage.sigma_normal = settings_.sigma_normal;
-    stage.sigma_luminance = settings_.sigma_luminance;
-    for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
-    stage.sink = sink;
-    launch_tiles(name, stage);
+    const auto launch = [&]<int PhasesLog2>() {
+        Atrous<Method, Signals, PhasesLog2, Sink> stage;
+        stage.guides = guides_of<Storage>(guides_);
+        stage.lattice = {level, width_, height_};
+        stage.sigma_depth = settings_.sigma_depth;
+        stage.sigma_normal = settings_.sigma_normal;
+        stage.sigma_luminance = settings_.sigma_luminance;
+        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
+        stage.sink = sink;
+        launch_tiles(name, stage);
+    };
+    static_assert(most_phases_log2 == 2);
+    if (level == 0) launch.template operator()<0>();
+    else if (level == 1) launch.template operator()<1>();
+    else launch.template operator()<2>();
 }
 
 template <class Method, int Signals>

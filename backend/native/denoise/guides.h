@@ -49,7 +49,7 @@ SVGF_HD inline Vec3 load3(const float* image, int pixel) {
 
 SVGF_HD inline bool is_surface(float depth) { return depth < background_depth; }
 
-constexpr float log2_e = 1.44269504088896341f;
+constexpr float log2_e = 1.44269504088896341f, ln_2 = 0.693147180559945309f;
 
 // w_z and w_n of a pixel's taps [Schied17, Eq. 3, 4] as logarithms to the base 2, so that a signal's w_l joins them under
 // one exponential. A tap whose depth is infinity weighs 0. Normal is how w_n follows from the cosine between the normals:
@@ -84,16 +84,17 @@ struct EdgeWeight {
     Vec2 slope;
 
     SVGF_HD EdgeWeight(Vec4 normal_depth, Vec2 gradient, float sigma_depth, float sigma_normal)
-        : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w), tolerance(depth_epsilon * depth + 1e-30f),
-          slope(sigma_depth * gradient) {}
+        : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w), tolerance((depth_epsilon * depth + 1e-30f) * ln_2),
+          slope((sigma_depth * ln_2) * gradient) {}
 
-    // Of depth differences to taps (dx, dy) pixels away; the same for (-dx, -dy).
-    SVGF_HD float depth_scale(int dx, int dy) const {
-        return -log2_e * fast_reciprocal(std::fabs(slope.x * float(dx) + slope.y * float(dy)) + tolerance);
+    // Of depth differences to taps (i, j) steps away; the same for (-i, -j).
+    SVGF_HD float depth_scale(int i, int j, float step) const {
+        const float x = float(i) * (slope.x * step), y = float(j) * (slope.y * step);
+        return fast_reciprocal((i == 0 ? std::fabs(y) : j == 0 ? std::fabs(x) : std::fabs(x + y)) + tolerance);
     }
     // kernel_log2: of the tap's place in the kernel.
     SVGF_HD float operator()(Vec4 tap, float depth_scale, float kernel_log2 = 0.0f) const {
-        return std::fabs(tap.w - depth) * depth_scale + normal(tap.xyz(), kernel_log2);
+        return normal(tap.xyz(), kernel_log2) - std::fabs(tap.w - depth) * depth_scale;
     }
 };
 

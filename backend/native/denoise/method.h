@@ -11,8 +11,7 @@ struct Published {
     using Storage = FloatStorage;
     using Normal = CosinePower;
     static constexpr int radius = 2;  // of the a-trous kernel: 5x5 B3 spline
-    // Spacing of the 3x3 taps that prefilter the variance at a level whose taps are `step` pixels apart.
-    static constexpr int prefilter_spacing(int) { return 1; }
+    static constexpr bool prefilters_first_level_only = false;
 };
 
 // The same filter at a sixth of the work.
@@ -20,7 +19,8 @@ struct Fast {
     using Storage = PackedStorage;
     using Normal = CosineLobe;
     static constexpr int radius = 1;  // 3x3 binomial
-    static constexpr int prefilter_spacing(int step) { return step; }
+    // After it, variance has been averaged over the taps of the level before.
+    static constexpr bool prefilters_first_level_only = true;
 };
 
 }  // namespace svgf

@@ -9,6 +9,8 @@
 // background_depth, the object id 0 and the rest 0 or of no meaning.
 #pragma once
 
+#include "core/approximate.h"
+#include "core/load.h"
 #include "core/packing.h"
 #include "core/vec.h"
 
@@ -23,6 +25,7 @@ struct FrameSize {
 };
 
 struct FloatStorage {
+    static constexpr bool holds_any_bits = true;  // NaN, infinities and negative numbers too
     static constexpr int guide_bytes = 32, length_bytes = 4, color_bytes = 16, moments_bytes = 8;
 
     struct Guides : FrameSize {
@@ -89,6 +92,7 @@ struct PackedStorage {
         uint16_t object_id;  // of 32 bits, hashed; 0 stays 0 and nothing else becomes it
         uint16_t length;     // sixteenths of a frame; stays at 4095 when it gets there
     };
+    static constexpr bool holds_any_bits = false;  // every pattern of bits is a number in range
     static constexpr int guide_bytes = sizeof(Guide), length_bytes = guide_bytes, color_bytes = sizeof(PackedColor), moments_bytes = 4;
 
     struct Guides : FrameSize {
@@ -98,8 +102,8 @@ struct PackedStorage {
 
         SVGF_HD explicit operator bool() const { return texels_ != nullptr; }
         SVGF_HD Vec4 normal_depth(int pixel) const {
-            const Guide guide = texels_[pixel];
-            const Vec3 n = guide.object_id ? decode_normal(guide.normal) : Vec3{};
+            const Guide guide = load(texels_ + pixel);
+            const Vec3 n = decode_normal(guide.normal);
             return {n.x, n.y, n.z, guide.depth};
         }
         SVGF_HD float depth(int pixel) const { return texels_[pixel].depth; }
@@ -153,11 +157,11 @@ struct PackedStorage {
         }
         SVGF_HD float variance(int pixel) const { return square(decode_deviation(texels[pixel])); }
         SVGF_HD void store(int pixel, Vec4 color) const {
-            texels[pixel] = encode_color(color.xyz(), std::sqrt(color.w));
+            texels[pixel] = encode_color(color.xyz(), fast_sqrt(color.w));
         }
         SVGF_HD void store_variance(int pixel, float variance) const {
             PackedColor& texel = texels[pixel];
-            texel.high = (texel.high & ~(0x7fffu << 14)) | encode_positive<8>(std::sqrt(variance)) << 14;
+            texel.high = (texel.high & ~(0x7fffu << 14)) | encode_positive<8>(fast_sqrt(variance)) << 14;
         }
     };
 
@@ -175,7 +179,7 @@ struct PackedStorage {
         SVGF_HD void store(int pixel, Vec2 moments) const {
             const uint32_t hash = (bits_of(moments.x) ^ uint32_t(pixel) * 0x9e3779b1u) * 0x85ebca6bu;
             texels[pixel] = encode_positive<9>(moments.x, float(hash >> 16) * (1.0f / 65536.0f)) |
-                            encode_positive<9>(std::sqrt(moments.y), float(hash & 0xffffu) * (1.0f / 65536.0f)) << 16;
+                            encode_positive<9>(fast_sqrt(moments.y), float(hash & 0xffffu) * (1.0f / 65536.0f)) << 16;
         }
     };
 };

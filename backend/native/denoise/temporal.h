@@ -163,6 +163,7 @@ private:
 
     // What is stored is numbers that an accumulation can have left there.
     SVGF_HD bool is_usable(int pixel) const {
+        if constexpr (!Storage::holds_any_bits) return true;
         bool good = in_range(prev_guides.length(pixel), 0.0f, 16777216.0f);
         for (int s = 0; s < Signals; ++s) {
             const Vec4 color = hist_color[s][pixel];

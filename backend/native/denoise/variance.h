@@ -36,7 +36,7 @@ struct Variance {
                 const int tap = guides.pixel(x + dx, y + dy);
                 const Vec4 q = guides.normal_depth(tap);
                 if (!is_surface(q.w)) continue;
-                const float w = tap == pixel ? 1.0f : fast_exp2(edge(q, edge.depth_scale(dx, dy)));
+                const float w = tap == pixel ? 1.0f : fast_exp2(edge(q, edge.depth_scale(dx, dy, 1.0f)));
                 if (!(w > 0.0f)) continue;
                 const float before = weight;
                 weight += w;
