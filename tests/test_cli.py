@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -413,6 +414,21 @@ def test_doctor(scene_file: Path) -> None:
     assert "Warning: Volumes are not simulated." in output
     result = run("doctor", scene_file.with_name("none.svgf"))
     assert result.exit_code == 2 and result.stderr.startswith("Error: Cannot read") and result.stderr.count("\n") == 1
+
+
+def test_bench_denoise(tmp_path: Path) -> None:
+    size = ("--size", "40x24", "--size", "64x36", "--count", 2, "--warm-up", 5)
+    files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.png")
+    report = json.loads(assert_done(run("bench", "denoise", "--device", "cpu", *size, *files, "--json")))
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    assert len(rows) == len(report["stages"])
+    assert {(row["width"], row["signals"]) for row in rows} == {("40", "1"), ("40", "2"), ("64", "1"), ("64", "2")}
+    for row in report["stages"]:
+        assert row["milliseconds"] > 0.0 and row["bytes"] >= 4 * row["width"] * row["height"]
+        assert row["bandwidth"] == pytest.approx(row["bytes"] / row["milliseconds"] / 1e6)
+    assert all(row["bytes_per_pixel"] * row["width"] * row["height"] == row["bytes"] for row in report["buffers"])
+    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
+    assert_refused(run("bench", "denoise", "--device", "reference", *size), "Use cuda or cpu")
 
 
 def test_bench_stages(scene_file: Path, tmp_path: Path) -> None:
