@@ -28,6 +28,22 @@ constexpr SignalInfo signal_table[] = {
 
 const char* const signal_suffix[max_signals] = {"0", "1"};
 
+// Two stages in one launch, where the second reads no more of the first one's results than its own pixel.
+template <class First, class Second>
+struct Sequence {
+    First first;
+    Second second;
+
+    // What the second reads is still at hand.
+    int bytes_per_pixel() const { return first.bytes_per_pixel() + second.bytes_per_pixel_after_demodulate(); }
+    SVGF_HD void operator()(int x, int y) const {
+        first(x, y);
+        second(x, y);
+    }
+};
+template <class First, class Second>
+Sequence(First, Second) -> Sequence<First, Second>;
+
 // Of the caller's colour image, per pixel.
 constexpr int borrowed_bytes = 3 * sizeof(float);
 
@@ -167,10 +183,11 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     if (Signals * Storage::color_bytes <= borrowed_bytes) borrowed_ = reinterpret_cast<std::byte*>(outputs.color);
     else borrowed_ = nullptr;
     traffic_.clear();
-    demodulate<Storage, Signals>(inputs);
+    repaired_.clear();
     Place place = Place::working;
+    const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
     if (is_temporal()) {
-        temporal<Storage, Signals>(inputs);
+        launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
         variance<Method, Signals>();
         // The last level reads history or scratch, never working, which may be the image that modulate writes.
         const int last = levels() - 1;
@@ -192,6 +209,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         guides_.swap(previous_guides_);
         has_history_ = true;
     } else {
+        launch("demodulate", demodulate_stage);
         for (int level = 0; level < levels(); ++level) {
             const Place next = place == Place::working ? Place::scratch : Place::working;
             edge_avoiding<Signals>(level, inputs.window, place, next);
@@ -203,8 +221,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
 
 // The frame's guides; illumination in working.
 template <class Storage, int Signals>
-void Denoiser::demodulate(const DenoiseInputs& inputs) {
-    repaired_.clear();
+Demodulate<Storage, Signals> Denoiser::demodulate(const DenoiseInputs& inputs) {
     Demodulate<Storage, Signals> stage;
     stage.width = width_;
     stage.height = height_;
@@ -219,12 +236,12 @@ void Denoiser::demodulate(const DenoiseInputs& inputs) {
         for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
         stage.out_illumination[s] = color_of<Storage>(Place::working, s);
     }
-    launch("demodulate", stage);
+    return stage;
 }
 
 // In place: working becomes the mean with its variance over time, and no other pixel reads it.
 template <class Storage, int Signals>
-void Denoiser::temporal(const DenoiseInputs& inputs) {
+Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     Temporal<Storage, Signals> stage;
     stage.guides = guides_of<Storage>(guides_);
     if (has_history_) stage.prev_guides = guides_of<Storage>(previous_guides_);
@@ -241,7 +258,7 @@ void Denoiser::temporal(const DenoiseInputs& inputs) {
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    launch("temporal", stage);
+    return stage;
 }
 
 // In place: only the variance of working changes, and no other pixel reads it.
@@ -466,7 +483,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
 
     HostImage unused;
     if (stage == "demodulate") {
-        demodulate<Storage, Signals>(inputs);
+        repaired_.clear();
+        launch("demodulate", demodulate<Storage, Signals>(inputs));
         HostImage normal{3, {}}, depth{1, {}}, gradient{2, {}}, id{1, {}};
         download_guides([&](const typename Storage::Guides& guides, int pixel) {
             const Vec4 n = guides.normal_depth(pixel);
@@ -497,7 +515,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             upload_color(Place::history, s, image(numbered("hist_color", s), 3), nullptr);
             upload_moments(previous_moments_, s, image(numbered("hist_moments", s), 2));
         }
-        temporal<Storage, Signals>(inputs);
+        launch("temporal", temporal<Storage, Signals>(inputs));
         for (int s = 0; s < Signals; ++s) {
             download_color(Place::working, s, result[numbered("color", s)], unused);
             std::vector<std::byte> memory(pixels * Storage::moments_bytes);

@@ -7,7 +7,8 @@
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
-// The last level hands its result to modulate without a detour through memory. Two pieces of memory serve twice: the
+// Demodulate and temporal run in one launch, and the last level hands its result to modulate, without a detour through
+// memory. Two pieces of memory serve twice: the
 // guides of the frame before, once temporal has read them, as scratch between levels; and the caller's colour image, where
 // a texel of working colour fits into its 12 bytes, until the last stage writes it.
 #pragma once
@@ -80,8 +81,9 @@ struct BufferInfo {
     size_t bytes;
 };
 
-template <class Storage, int Signals>
-struct Modulate;
+template <class Storage, int Signals> struct Demodulate;
+template <class Storage, int Signals> struct Temporal;
+template <class Storage, int Signals> struct Modulate;
 
 class Denoiser {
 public:
@@ -138,8 +140,8 @@ private:
     template <class Run> auto with_method(Run run);
 
     template <class Method, int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
-    template <class Storage, int Signals> void demodulate(const DenoiseInputs& inputs);
-    template <class Storage, int Signals> void temporal(const DenoiseInputs& inputs);
+    template <class Storage, int Signals> Demodulate<Storage, Signals> demodulate(const DenoiseInputs& inputs);
+    template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
     template <class Method, int Signals> void variance();
     template <class Method, int Signals, class Sink>
     void atrous(const char* name, int level, Place from, const Sink& sink);

@@ -45,6 +45,10 @@ struct Temporal {
         return Storage::guide_bytes + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) +
                (in_motion ? 4 * motion_channels : 0) + (prev_guides ? history : 0);
     }
+    // Where demodulate has just written this pixel's guides and colour, which are written again or not at all.
+    int bytes_per_pixel_after_demodulate() const {
+        return bytes_per_pixel() - Storage::guide_bytes - Signals * 2 * Storage::color_bytes;
+    }
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y);
