@@ -73,7 +73,7 @@ struct DeviceImage {
 };
 
 // The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
-// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted), which is made to wait for the image.
+// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted); it is made to wait for the image.
 nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
     auto& image = nb::cast<DeviceImage&>(self);
     if (stream.value_or(1) != -1)

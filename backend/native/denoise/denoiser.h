@@ -8,9 +8,9 @@
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
 // Demodulate and temporal run in one launch, and the last level hands its result to modulate, without a detour through
-// memory. Two pieces of memory serve twice: the
-// guides of the frame before, once temporal has read them, as scratch between levels; and the caller's colour image, where
-// a texel of working colour fits into its 12 bytes, until the last stage writes it.
+// memory. Two pieces of memory serve twice: the guides of the frame before, once temporal has read them, as scratch
+// between levels; and the caller's colour image, where a texel of working colour fits into its 12 bytes, until the last
+// stage writes it.
 #pragma once
 
 #include <cstdint>

@@ -34,7 +34,8 @@ __global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::bl
     // Raw bytes: shared memory has no constructors.
     __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
     Tile& tile = *reinterpret_cast<Tile*>(memory);
-    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += Stage::threads_x * Stage::threads_y)
+    constexpr int threads = Stage::threads_x * Stage::threads_y;
+    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += threads)
         stage.load(tile, blockIdx.x, blockIdx.y, i);
     __syncthreads();
     stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
