@@ -82,15 +82,14 @@ private:
     static int divide_up(int size, int unit_log2) { return (size + (1 << unit_log2) - 1) >> unit_log2; }
 };
 
-// sink(pixel, color, prepared) takes the result, rgb and variance of each signal, with what sink.prepare(pixel) has read
-// before.
+// sink(pixel, color) takes the result, rgb and variance of each signal.
 template <class Method, int Signals, int PhasesLog2, class Sink>
 struct Atrous {
     using Storage = typename Method::Storage;
     static constexpr int radius = Method::radius, rows_per_thread = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
-    static constexpr int blocks = 5 - Signals - (Sink::reads ? 1 : 0);  // as the registers allow; fastest on an H200
+    static constexpr int blocks = 5 - Signals;  // as the registers allow; fastest on an H200
 
     struct Tile {
         static constexpr int places = Lattice::width * Lattice::height;
@@ -134,8 +133,6 @@ struct Atrous {
         const bool has_lower = lower_y < guides.height;
         Pixel pixels[rows_per_thread] = {{*this, tile, upper, x, upper_y},
                                          {*this, tile, lower, x, has_lower ? lower_y : upper_y}};
-        const int upper_pixel = guides.pixel(x, upper_y), lower_pixel = guides.pixel(x, has_lower ? lower_y : upper_y);
-        const auto upper_prepared = sink.prepare(upper_pixel), lower_prepared = sink.prepare(lower_pixel);
         SVGF_UNROLL
         for (int j = -radius; j < radius + rows_per_thread; ++j) {
             SVGF_UNROLL
@@ -155,8 +152,8 @@ struct Atrous {
                         pixels[p].add(i, j - p, surface, color, light);
             }
         }
-        pixels[0].finish(*this, tile, upper, upper_pixel, upper_prepared);
-        if (has_lower) pixels[1].finish(*this, tile, lower, lower_pixel, lower_prepared);
+        pixels[0].finish(*this, tile, upper, guides.pixel(x, upper_y));
+        if (has_lower) pixels[1].finish(*this, tile, lower, guides.pixel(x, lower_y));
     }
 
 private:
@@ -204,8 +201,7 @@ private:
             }
         }
 
-        SVGF_HD void finish(const Atrous& stage, const Tile& tile, int place, int pixel,
-                            const typename Sink::Prepared& prepared) const {
+        SVGF_HD void finish(const Atrous& stage, const Tile& tile, int place, int pixel) const {
             Vec4 result[Signals];
             for (int s = 0; s < Signals; ++s) {
                 const float scale = fast_reciprocal(weight[s]);
@@ -215,7 +211,7 @@ private:
                     result[s].w = 0.0f;
                 }
             }
-            stage.sink(pixel, result, prepared);
+            stage.sink(pixel, result);
         }
     };
 
@@ -257,11 +253,7 @@ struct StoreColor {
 
     int sink_bytes_per_pixel() const { return Signals * Storage::color_bytes; }
 
-    static constexpr bool reads = false;
-    struct Prepared {};
-    SVGF_HD Prepared prepare(int) const { return {}; }
-
-    SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals], Prepared) const {
+    SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
         for (int s = 0; s < Signals; ++s) out_color[s].store(pixel, color[s]);
     }
 };

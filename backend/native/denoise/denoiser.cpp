@@ -8,6 +8,7 @@
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
 #include "denoise/variance.h"
+#include "device/launch_shape.h"
 
 namespace svgf {
 
@@ -31,6 +32,8 @@ const char* const signal_suffix[max_signals] = {"0", "1"};
 // Two stages in one launch, where the second reads no more of the first one's results than its own pixel.
 template <class First, class Second>
 struct Sequence {
+    static constexpr LaunchShape launch_shape = {32, 4, 12};  // fastest on an H200
+
     First first;
     Second second;
 

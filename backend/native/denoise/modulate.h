@@ -30,38 +30,26 @@ struct Modulate {
         const int pixel = guides.pixel(x, y);
         Vec4 filtered[Signals];
         for (int s = 0; s < Signals; ++s) filtered[s] = in_color[s][pixel];
-        (*this)(pixel, filtered, prepare(pixel));
+        (*this)(pixel, filtered);
     }
 
-    // As a sink: what is read, so that it can be under way while the taps are added up.
-    static constexpr bool reads = true;
-    struct Prepared {
-        Vec3 emission, albedo[Signals];
-        float length;
-        int repaired;
-    };
-    SVGF_HD Prepared prepare(int pixel) const {
-        Prepared prepared = {};
-        int repaired_before = 0;  // demodulate has counted the albedos
-        if (in_emission) prepared.emission = repair(load3(in_emission, pixel), prepared.repaired);
-        for (int s = 0; s < Signals; ++s) prepared.albedo[s] = signal_albedo(in_albedo[s], pixel, repaired_before);
-        prepared.length = has_length ? guides.length(pixel) : is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
-        return prepared;
-    }
-
-    SVGF_HD void operator()(int pixel, const Vec4 (&filtered)[Signals], const Prepared& prepared) const {
-        Vec3 color = prepared.emission;
+    SVGF_HD void operator()(int pixel, const Vec4 (&filtered)[Signals]) const {
+        int repaired = 0, repaired_before = 0;  // demodulate has counted the albedos
+        Vec3 color;
         float variance = 0.0f;
+        if (in_emission) color = repair(load3(in_emission, pixel), repaired);
         for (int s = 0; s < Signals; ++s) {
-            color += filtered[s].xyz() * prepared.albedo[s];
-            variance += filtered[s].w * square(luminance(prepared.albedo[s]));
+            const Vec3 albedo = signal_albedo(in_albedo[s], pixel, repaired_before);
+            const Vec4 c = filtered[s];
+            color += c.xyz() * albedo;
+            variance += c.w * square(luminance(albedo));
         }
         out_color[3 * pixel] = color.x;
         out_color[3 * pixel + 1] = color.y;
         out_color[3 * pixel + 2] = color.z;
         out_variance[pixel] = min(variance, largest_float);
-        out_history_length[pixel] = prepared.length;
-        count(out_repaired, prepared.repaired);
+        out_history_length[pixel] = has_length ? guides.length(pixel) : is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
+        count(out_repaired, repaired);
     }
 };
 
