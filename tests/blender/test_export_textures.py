@@ -70,6 +70,7 @@ def test_alpha_as_cycles_reads_it(alpha_mode, output, both):
     bench = NodeBench()
     image = bench.add("ShaderNodeTexImage", image=add_image("Image", pixels))
     image.image.alpha_mode = alpha_mode
+    image.image.reload()  # the pixels of the packed file are read anew
     bench.link(bench.uv, image.inputs[0])
     if both:
         add = bench.add("ShaderNodeMath")
