@@ -15,11 +15,13 @@ _NOTHING: frozenset[str] = frozenset()
 class Changes:
     """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
 
-    Matrices, materials, lamps and the world are few or read in bulk, so they are read with every export.
+    materials: full names of those whose nodes may differ; None: any.
+    Matrices, lamps and the world are few or read in bulk, so they are read with every export.
     """
 
     geometry: frozenset[str] = _NOTHING
     images: frozenset[str] = _NOTHING
+    materials: frozenset[str] | None = _NOTHING
 
 
 def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None:
@@ -28,14 +30,21 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
     that an object was selected as well as hidden.
     """
-    geometry, images, exports = set(), set(), False
+    geometry, images, materials, exports = set(), set(), set(), False
+    has_trees = has_groups = False
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
             continue
         exports = True
-        if isinstance(changed, bpy.types.Image):
+        if isinstance(changed, bpy.types.Material):
+            materials.add(changed.name_full)
+        elif isinstance(changed, bpy.types.NodeTree):
+            has_trees, has_groups = True, has_groups or not changed.is_embedded_data
+        elif isinstance(changed, bpy.types.Image):
             images.add(changed.name_full)
         elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
             geometry.add(changed.name_full)
-    return Changes(frozenset(geometry), frozenset(images)) if exports else None
+    # Any material may use a group, or be the owner of a tree that comes without it.
+    known = not has_groups and (bool(materials) or not has_trees)
+    return Changes(frozenset(geometry), frozenset(images), frozenset(materials) if known else None) if exports else None

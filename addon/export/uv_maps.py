@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import bpy
@@ -25,6 +26,9 @@ class UvLayers:
         self.names = tuple(names)
         self.known = known
         self._aliases = aliases
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, UvLayers) and vars(self) == vars(other)
 
     def index(self, uv_map: str) -> int:
         """Of a UV map that was found in a material."""
@@ -109,6 +113,35 @@ class UvUse:
         if (slot, layer) not in facts:
             facts[slot, layer] = _measure(mesh, slot, layer)
         return facts[slot, layer]
+
+
+class MaterialUse:
+    """What one material asked of the UvUse of its frame, to know later whether the answers are still the same."""
+
+    def __init__(self, use: UvUse, index: int) -> None:
+        self._use = use
+        self._index = index
+        self._answers: dict[tuple, object] = {}
+
+    def bounds(self, layer: int) -> np.ndarray:
+        return self._ask(UvUse.bounds, layer)
+
+    def metres(self, layer: int) -> tuple[float, float]:
+        return self._ask(UvUse.metres, layer)
+
+    def without_uvs(self) -> list[str]:
+        return self._ask(UvUse.without_uvs)
+
+    def answers_like(self, other: MaterialUse) -> bool:
+        """Whether it would answer what another one was asked in the same way."""
+        return all(
+            np.array_equal(self._ask(question, *arguments), answer)
+            for (question, *arguments), answer in other._answers.items()
+        )
+
+    def _ask(self, question: Callable, *arguments: int) -> Any:
+        answer = self._answers[question, *arguments] = question(self._use, self._index, *arguments)
+        return answer
 
 
 def _measure(mesh: Mesh, slot: int, layer: int) -> tuple[np.ndarray, np.ndarray, float]:

@@ -448,3 +448,30 @@ def test_bumps_as_cycles_bends_normals(strength):
     x, y = (np.clip(bench.points[:, :2].T * side, 0, side - 1)).astype(int)
     # Cycles bakes slopes over a tenth of a texel of a small picture, in single precision.
     assert np.abs(normal_map[y, x] - expected).max() < 0.01
+
+
+def test_views_read_only_the_materials_that_changed():
+    from svgf_blender.export import Exporter
+    from svgf_blender.export.changes import Changes
+
+    material = add_material("Baked")
+    noise, coordinates = new(material, "ShaderNodeTexNoise"), new(material, "ShaderNodeTexCoord")
+    connect(material, coordinates.outputs["UV"], noise.inputs["Vector"])
+    ramp_of(material, noise.outputs[0])
+    quad = add_quad(material)
+    add_mesh("Other").data.materials.append(add_material("Plain", Thin_Film_Thickness=1.0))
+    exporter, graph = Exporter(), bpy.context.evaluated_depsgraph_get
+    camera = exporter.export(graph()).camera
+    cache = exporter._materials
+    first = exporter.export_view(graph(), camera, Changes())
+    reads = cache.reads
+    bpy.data.materials["Plain"].node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.125
+    second = exporter.export_view(graph(), camera, Changes(materials=frozenset({"Plain"})))
+    assert cache.reads == reads + 1 and second.materials[1].roughness == 0.125
+    assert second.materials[0] is first.materials[0] and second.textures is first.textures
+    assert second.warnings == first.warnings and first.warnings
+    # UVs that leave the square need another bake, though no material has changed.
+    quad.data.uv_layers[0].uv.foreach_set("vector", np.float32([0, 0, 2, 0, 2, 1, 0, 1]))
+    quad.data.update()
+    third = exporter.export_view(graph(), camera, Changes(geometry=frozenset({quad.name_full})))
+    assert cache.reads == reads + 2 and third.textures[0] is not second.textures[0]
