@@ -31,7 +31,7 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     that an object was selected as well as hidden.
     """
     geometry, images, materials, exports = set(), set(), set(), False
-    has_trees = has_groups = False
+    trees, owned = set(), set()
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
@@ -39,12 +39,15 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
         exports = True
         if isinstance(changed, bpy.types.Material):
             materials.add(changed.name_full)
+            owned.add(changed.original.node_tree)
         elif isinstance(changed, bpy.types.NodeTree):
-            has_trees, has_groups = True, has_groups or not changed.is_embedded_data
+            trees.add(changed.original)
         elif isinstance(changed, bpy.types.Image):
             images.add(changed.name_full)
         elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
             geometry.add(changed.name_full)
-    # Any material may use a group, or be the owner of a tree that comes without it.
-    known = not has_groups and (bool(materials) or not has_trees)
-    return Changes(frozenset(geometry), frozenset(images), frozenset(materials) if known else None) if exports else None
+    if not exports:
+        return None
+    # A tree comes without its material where a colour ramp was edited; a group may be used by any.
+    known = frozenset(materials) if trees <= owned else None
+    return Changes(frozenset(geometry), frozenset(images), known)

@@ -185,6 +185,8 @@ class InputReader:
         if without:
             names = ", ".join(f'"{name}"' for name in without[:3]) + (" and others" if len(without) > 3 else "")
             self._find(f"mesh {names} has no UV map; textures are read at (0, 0) there, as in Cycles.")
+        if not self._context.layers.holds(uv_map):
+            self._find(f'UV map "{uv_map}" is one too many for one scene; the active one is used instead.')
         layer = self._context.layers.index(uv_map)
         return TextureMap(self._context.table.index(texture), channel, layer, transform)
 

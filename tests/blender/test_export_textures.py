@@ -237,6 +237,12 @@ def test_uv_maps_by_name():
     attribute = new(material, "ShaderNodeAttribute", attribute_name="Second")
     connect(material, attribute.outputs["Vector"], node.inputs["Vector"])
     assert export().materials[0].maps["base_color"].uv_layer == 1
+    uv_map.uv_map = "Missing"  # reads as (0, 0), as in Cycles
+    connect(material, uv_map.outputs[0], node.inputs["Vector"])
+    scene = export()
+    layer = scene.materials[0].maps["base_color"].uv_layer
+    assert not scene.meshes[0].uvs[layer].any()
+    connect(material, attribute.outputs["Vector"], node.inputs["Vector"])
     attribute.attribute_name = "Wear"
     assert 'node "Attribute" (Attribute) on "Vector" is not supported yet' in only_warning(export())
 
@@ -475,3 +481,35 @@ def test_views_read_only_the_materials_that_changed():
     quad.data.update()
     third = exporter.export_view(graph(), camera, Changes(geometry=frozenset({quad.name_full})))
     assert cache.reads == reads + 2 and third.textures[0] is not second.textures[0]
+
+
+def test_changes_of_materials():
+    """What Blender reports of edits: the tree alone for a colour ramp, a group without its users."""
+    from svgf_blender.export.changes import find_changes
+
+    material = add_material("Edited")
+    ramp, group = new(material, "ShaderNodeValToRGB"), bpy.data.node_groups.new("Group", "ShaderNodeTree")
+    gamma = group.nodes.new("ShaderNodeGamma")
+    new(material, "ShaderNodeGroup", node_tree=group)
+    add_quad(material)
+    seen = []
+
+    def changes():
+        seen.clear()
+        bpy.context.view_layer.update()
+        return seen[-1].materials
+
+    def report(scene, depsgraph):
+        seen.append(find_changes(depsgraph.updates))
+
+    bpy.app.handlers.depsgraph_update_post.append(report)
+    try:
+        bpy.context.view_layer.update()
+        principled(material).inputs["Roughness"].default_value = 0.25
+        assert changes() == {"Edited"}
+        ramp.color_ramp.elements[0].color = (1, 0, 0, 1)
+        assert changes() is None
+        gamma.inputs["Gamma"].default_value = 2
+        assert changes() is None
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(report)
