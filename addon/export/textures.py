@@ -19,7 +19,7 @@ _INTERPOLATIONS = {
     "Cubic": Interpolation.CUBIC,
     "Smart": Interpolation.CUBIC,
 }
-# As measured: Cycles no longer multiplies the bytes of premultiplied images, which Blender has divided when it read them.
+# As measured: Cycles no longer multiplies bytes of premultiplied images, which Blender has divided when it read them.
 _KEEPS_PREMULTIPLIED_BYTES = bpy.app.version >= (5, 2, 0)
 # Larger images are reduced: beyond it a texture would be gigabytes.
 LARGEST_SIDE = 16384
