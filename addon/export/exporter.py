@@ -16,7 +16,7 @@ from .camera import export_camera, render_size
 from .changes import Changes
 from .findings import Findings
 from .instances import Key, collect, object_ids
-from .materials import MaterialTable
+from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
 from .uv_maps import find_uv_layers
@@ -74,6 +74,7 @@ class Exporter:
         self.counters = ExportCounters()
         self._meshes = MeshCache()
         self._textures = TextureCache()
+        self._materials = MaterialCache()
         self._last: _Snapshot | None = None
         self._instances: Instances | None = None
 
@@ -126,6 +127,10 @@ class Exporter:
         last = self._last
         if changes is not None:
             self._textures.forget(changes.images)
+        if changes is None or changes.images or changes.materials is None:
+            self._materials.forget()
+        else:
+            self._materials.forget(changes.materials)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
@@ -139,6 +144,7 @@ class Exporter:
         scene, findings = depsgraph.scene_eval, Findings()
         size, camera = size or render_size(scene.render), camera or scene.camera
         exported = export_camera(camera, scene, size, findings)
+        self._materials.forget()
         return self._snapshot(depsgraph, size, camera.name_full, exported, findings)
 
     def _snapshot(
@@ -154,7 +160,7 @@ class Exporter:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
-        materials = MaterialTable(self._textures, findings, layers)
+        materials = MaterialTable(self._textures, self._materials, findings, layers)
         self._meshes.start_frame(changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
