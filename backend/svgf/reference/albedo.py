@@ -88,8 +88,12 @@ def dielectric_at(roughness: float, cosine: float, ior: float, count: int = 96) 
     from .bsdf import fresnel_dielectric, normal_reflectance
 
     f0 = normal_reflectance(ior)
+    # Seen at an angle, a dense dielectric may reflect less than f0.
     return mean_at(
-        roughness, cosine, lambda c: (fresnel_dielectric(c, np.full(len(c), ior)) - f0) / (1.0 - f0), count
+        roughness,
+        cosine,
+        lambda c: np.clip((fresnel_dielectric(c, np.full(len(c), ior)) - f0) / (1.0 - f0), 0.0, 1.0),
+        count,
     )
 
 
