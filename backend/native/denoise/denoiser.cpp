@@ -441,7 +441,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         std::vector<std::byte> memory(to.size());
         const typename Storage::Guides guides(memory.data(), width_, height_);
         for (size_t i = 0; i < pixels; ++i) {
-            guides.store(int(i), {normal.values[3 * i], normal.values[3 * i + 1], normal.values[3 * i + 2], depth.values[i]},
+            const float* const n = &normal.values[3 * i];
+            guides.store(int(i), {n[0], n[1], n[2], depth.values[i]},
                          {gradient.values[2 * i], gradient.values[2 * i + 1]}, int32_t(id.values[i]));
             if (length) guides.store_length(int(i), length->values[i]);
         }
@@ -538,7 +539,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         for (int s = 0; s < Signals; ++s) {
             const HostImage& moments = image(numbered("moments", s), 2);
             HostImage variance{1, {}};
-            for (size_t i = 0; i < pixels; ++i) variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
+            for (size_t i = 0; i < pixels; ++i)
+                variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
             upload_moments(moments_, s, moments);
             upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
         }
@@ -573,7 +575,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         }
         Buffer<float> color(device_, 3 * pixels, "color"), spread(device_, pixels, "variance"),
             length(device_, pixels, "history length");
-        launch("modulate", modulate<Storage, Signals>(inputs, {color.data(), spread.data(), length.data()}, Place::working));
+        const DenoiseOutputs outputs{color.data(), spread.data(), length.data()};
+        launch("modulate", modulate<Storage, Signals>(inputs, outputs, Place::working));
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
     } else {
