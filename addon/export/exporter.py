@@ -17,7 +17,7 @@ from .camera import export_camera, render_size
 from .changes import Changes
 from .findings import Finding, Findings
 from .instances import Key, Layout, collect, moved_matrices, object_ids
-from .materials import MaterialTable
+from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
 from .uv_maps import find_uv_layers
@@ -88,6 +88,7 @@ class Exporter:
         self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
         self._textures = TextureCache()
+        self._materials = MaterialCache()
         self._last: _Snapshot | None = None
         self._instances: Instances | None = None
 
@@ -142,6 +143,10 @@ class Exporter:
             if changes.moves_only and last is not None and self._move(depsgraph, camera):
                 return self._scene(self._last, last)
             self._textures.forget(changes.images)
+        if changes is None or changes.images or changes.materials is None:
+            self._materials.forget()
+        else:
+            self._materials.forget(changes.materials)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
@@ -167,6 +172,7 @@ class Exporter:
         scene, findings = depsgraph.scene_eval, Findings()
         size, camera = size or render_size(scene.render), camera or scene.camera
         exported = export_camera(camera, scene, size, findings)
+        self._materials.forget()
         return self._snapshot(depsgraph, size, camera.name_full, exported, findings)
 
     def _snapshot(
@@ -182,7 +188,7 @@ class Exporter:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, view_layer, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
-        materials = MaterialTable(self._textures, findings, layers)
+        materials = MaterialTable(self._textures, self._materials, findings, layers)
         self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
