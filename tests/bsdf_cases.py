@@ -11,7 +11,8 @@ from svgf.scene import Material
 
 
 def make(material: Material, view: np.ndarray, normal=(0, 0, 1), geometric_normal=(0, 0, 1), **changes) -> Bsdf:
-    """One row per row of view. changes: see make_bsdf."""
+    """One row per row of view. changes: see make_bsdf; the tangent is X unless said."""
+    changes.setdefault("tangent", np.tile([1.0, 0.0, 0.0], (len(view), 1)))
     count = len(view)
     rows = np.repeat(material_rows((material,)), count, axis=0)
     normal, geometric_normal = (

@@ -113,7 +113,9 @@ def varied_scenes() -> dict[str, Scene]:
     red = Material("red", kind=MaterialKind.DIFFUSE, base_color=(0.8, 0.1, 0.1))
     glow = Material("glow", emission=(2.0, 1.0, 0.5), base_color=(0.1, 0.1, 0.1))
     mix = Material("mix", kind=MaterialKind.MIX, first=2, second=3, factor=0.3)
+    lit_coat = Material("lit coat", emission=(1.0, 0.7, 0.4), coat_weight=0.8, coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
     return {
+        "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),
         "bumpy_matte": material_scene(matte, textures=[normal_texture()], layers=2),
         "mapped": material_scene(mapped, textures=[noise_texture(), noise_texture(4, low=1.0, high=2.0)], layers=2),

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-import bpy
 import numpy as np
 from svgf.scene import DEEPEST_MIX, Material, MaterialKind, TextureMap
 
@@ -248,7 +247,9 @@ class SurfaceReader:
     def _checked(self, surface: Surface) -> Surface:
         if surface.depth <= DEEPEST_MIX:
             return surface
-        self._find(f"more than {DEEPEST_MIX} levels of mixed shaders are not supported; the first of the outer is used.")
+        self._find(
+            f"more than {DEEPEST_MIX} levels of mixed shaders are not supported; the first of the outer is used."
+        )
         return surface.parts[0]
 
     # Inputs

@@ -19,7 +19,9 @@ _INTERPOLATIONS = {
     "Cubic": Interpolation.CUBIC,
     "Smart": Interpolation.CUBIC,
 }
-# Larger images are halved: beyond it a texture would be gigabytes.
+# As measured: Cycles no longer multiplies bytes of premultiplied images, which Blender has divided when it read them.
+_KEEPS_PREMULTIPLIED_BYTES = bpy.app.version >= (5, 2, 0)
+# Larger images are reduced: beyond it a texture would be gigabytes.
 LARGEST_SIDE = 16384
 
 _FROM_REC2020 = ((1.660491, -0.587641, -0.072850), (-0.124550, 1.132900, -0.008349), (-0.018151, -0.100579, 1.118730))
@@ -136,7 +138,7 @@ def _read(
         pixels = _reduced(pixels, factor)
     if pixels.dtype != np.uint8:
         np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    elif has_alpha:
+    elif has_alpha and not (source.alpha_mode == "PREMUL" and _KEEPS_PREMULTIPLIED_BYTES):
         _multiply_alpha(pixels)
     if source.alpha_mode == "NONE":
         pixels[..., 3] = 255 if pixels.dtype == np.uint8 else 1

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Directional albedos of GGX lobes, which no closed form gives, as tables that every device reads.
+"""Directional albedos of lobes, which no closed form gives, as tables that every device reads.
 
-``python -m svgf.reference.albedo`` computes them. Axes are those of Cycles' tables, so that what lies between two
+``python -m svgf.reference.albedo`` computes those of GGX. Axes are those of Cycles' tables, so that what lies between two
 entries comes out alike: roughness, cosine of the view, and sqrt((ior - 1) / (ior + 1)), each in even steps over [0, 1].
 """
 
@@ -22,6 +22,8 @@ FILE = Path(__file__).parent / "albedo_tables.npy"
 # dielectric: s, where the mean Fresnel reflectance over the lobe is f0 + (1 - f0) s.
 # glass_entering, glass_leaving: energy of reflection and refraction together, into and out of the denser side.
 # mean_glass_entering, mean_glass_leaving: the same for light from everywhere.
+# sheen: of the lobe of Blender's sheen [Zeltner22]. Measured in Cycles 5.0, whose samples of it all weigh the same in a
+# white world, at its own entries; there is no model but data behind it.
 SHAPES = {
     "energy": (1, 32, 32),
     "mean_energy": (1, 1, 32),
@@ -31,6 +33,7 @@ SHAPES = {
     "glass_leaving": (16, 16, 16),
     "mean_glass_entering": (16, 1, 16),
     "mean_glass_leaving": (16, 1, 16),
+    "sheen": (1, 32, 32),
 }
 
 

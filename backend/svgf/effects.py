@@ -7,7 +7,7 @@ from enum import IntFlag, auto
 
 import numpy as np
 
-from .scene import Instances, LightKind, Material, MaterialKind, Mesh, RayVisibility, Scene
+from .scene import Instances, Light, LightKind, Material, MaterialKind, Mesh, RayVisibility, Scene
 
 
 class Effects(IntFlag):
@@ -53,9 +53,7 @@ def find_effects(scene: Scene) -> Effects:
     for index in np.flatnonzero(used_materials(scene)):
         effects |= _material_effects(scene.materials[index])
     for light in scene.lights:
-        if max(light.power) > 0.0:
-            has_size = light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) or light.size[0] > 0.0
-            effects |= Effects.AREA_LIGHTS if has_size else Effects.DELTA_LIGHTS
+        effects |= _light_effects(light)
     instances = scene.instances
     if not np.array_equal(instances.object_to_world, instances.previous_object_to_world):
         effects |= Effects.OBJECT_MOTION
@@ -86,6 +84,41 @@ def _world_and_camera_effects(scene: Scene) -> Effects:
     if scene.defaults.light_paths.changes(scene.defaults.bounces):
         effects |= Effects.LIGHT_PATH_LIMITS
     return effects
+
+
+def find_causes(scene: Scene) -> dict[Effects, tuple[str, ...]]:
+    """For each effect of a scene, what calls for it: materials, lamps and meshes by their kind and name."""
+    found = find_effects(scene)
+    causes: dict[Effects, dict[str, None]] = {effect: {} for effect in found}
+
+    def blame(name: str, effects: Effects) -> None:
+        for effect in effects & found:
+            causes[effect][name] = None
+
+    for index in np.flatnonzero(used_materials(scene)):
+        blame(f'material "{scene.materials[index].name}"', _material_effects(scene.materials[index]))
+    for light in scene.lights:
+        blame(f'lamp "{light.name}"', _light_effects(light))
+    for index in np.unique(scene.instances.mesh):
+        if scene.meshes[index].previous_positions is not None:
+            blame(f'mesh "{scene.meshes[index].name}"', Effects.DEFORMATION)
+    blame("the world", Effects.ENVIRONMENT | Effects.ENVIRONMENT_MAP)
+    blame("the camera", Effects.CAMERA_MOTION | Effects.DEPTH_OF_FIELD)
+    if Effects.OBJECT_MOTION in found:
+        moving = scene.instances.object_to_world != scene.instances.previous_object_to_world
+        count = int(moving.any(axis=(1, 2)).sum())
+        blame(f"{count} moving instance{'s' if count > 1 else ''}", Effects.OBJECT_MOTION)
+    blame("settings of objects, lamps or the world", Effects.RAY_VISIBILITY)
+    blame("the render settings", Effects.LIGHT_PATH_LIMITS)
+    blame(f"{len(scene.lights)} lamps", Effects.MANY_LIGHTS)
+    return {effect: tuple(names) for effect, names in causes.items()}
+
+
+def _light_effects(light: Light) -> Effects:
+    if max(light.power) <= 0.0:
+        return Effects.NONE
+    has_size = light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) or light.size[0] > 0.0
+    return Effects.AREA_LIGHTS if has_size else Effects.DELTA_LIGHTS
 
 
 def used_materials(scene: Scene) -> np.ndarray:

@@ -70,6 +70,7 @@ def test_alpha_as_cycles_reads_it(alpha_mode, output, both):
     bench = NodeBench()
     image = bench.add("ShaderNodeTexImage", image=add_image("Image", pixels))
     image.image.alpha_mode = alpha_mode
+    image.image.reload()  # the pixels of the packed file are read anew
     bench.link(bench.uv, image.inputs[0])
     if both:
         add = bench.add("ShaderNodeMath")
@@ -236,6 +237,12 @@ def test_uv_maps_by_name():
     attribute = new(material, "ShaderNodeAttribute", attribute_name="Second")
     connect(material, attribute.outputs["Vector"], node.inputs["Vector"])
     assert export().materials[0].maps["base_color"].uv_layer == 1
+    uv_map.uv_map = "Missing"  # reads as (0, 0), as in Cycles
+    connect(material, uv_map.outputs[0], node.inputs["Vector"])
+    scene = export()
+    layer = scene.materials[0].maps["base_color"].uv_layer
+    assert not scene.meshes[0].uvs[layer].any()
+    connect(material, attribute.outputs["Vector"], node.inputs["Vector"])
     attribute.attribute_name = "Wear"
     assert 'node "Attribute" (Attribute) on "Vector" is not supported yet' in only_warning(export())
 
@@ -447,3 +454,62 @@ def test_bumps_as_cycles_bends_normals(strength):
     x, y = (np.clip(bench.points[:, :2].T * side, 0, side - 1)).astype(int)
     # Cycles bakes slopes over a tenth of a texel of a small picture, in single precision.
     assert np.abs(normal_map[y, x] - expected).max() < 0.01
+
+
+def test_views_read_only_the_materials_that_changed():
+    from svgf_blender.export import Exporter
+    from svgf_blender.export.changes import Changes
+
+    material = add_material("Baked")
+    noise, coordinates = new(material, "ShaderNodeTexNoise"), new(material, "ShaderNodeTexCoord")
+    connect(material, coordinates.outputs["UV"], noise.inputs["Vector"])
+    ramp_of(material, noise.outputs[0])
+    quad = add_quad(material)
+    add_mesh("Other").data.materials.append(add_material("Plain", Thin_Film_Thickness=1.0))
+    exporter, graph = Exporter(), bpy.context.evaluated_depsgraph_get
+    camera = exporter.export(graph()).camera
+    cache = exporter._materials
+    first = exporter.export_view(graph(), camera, Changes())
+    reads = cache.reads
+    bpy.data.materials["Plain"].node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.125
+    second = exporter.export_view(graph(), camera, Changes(materials=frozenset({"Plain"})))
+    assert cache.reads == reads + 1 and second.materials[1].roughness == 0.125
+    assert second.materials[0] is first.materials[0] and second.textures is first.textures
+    assert second.warnings == first.warnings and first.warnings
+    # UVs that leave the square need another bake, though no material has changed.
+    quad.data.uv_layers[0].uv.foreach_set("vector", np.float32([0, 0, 2, 0, 2, 1, 0, 1]))
+    quad.data.update()
+    third = exporter.export_view(graph(), camera, Changes(geometry=frozenset({quad.name_full})))
+    assert cache.reads == reads + 2 and third.textures[0] is not second.textures[0]
+
+
+def test_changes_of_materials():
+    """What Blender reports of edits: the tree alone for a colour ramp, a group without its users."""
+    from svgf_blender.export.changes import find_changes
+
+    material = add_material("Edited")
+    ramp, group = new(material, "ShaderNodeValToRGB"), bpy.data.node_groups.new("Group", "ShaderNodeTree")
+    gamma = group.nodes.new("ShaderNodeGamma")
+    new(material, "ShaderNodeGroup", node_tree=group)
+    add_quad(material)
+    seen = []
+
+    def changes():
+        seen.clear()
+        bpy.context.view_layer.update()
+        return seen[-1].materials
+
+    def report(scene, depsgraph):
+        seen.append(find_changes(depsgraph.updates))
+
+    bpy.app.handlers.depsgraph_update_post.append(report)
+    try:
+        bpy.context.view_layer.update()
+        principled(material).inputs["Roughness"].default_value = 0.25
+        assert changes() == {"Edited"}
+        ramp.color_ramp.elements[0].color = (1, 0, 0, 1)
+        assert changes() is None
+        gamma.inputs["Gamma"].default_value = 2
+        assert changes() is None
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(report)

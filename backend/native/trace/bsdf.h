@@ -248,11 +248,13 @@ private:
         glass_ = weight;
         const float z = ior_coordinate(material.ior);
         if (material.multiscatter > 0.0f && !refracts_only_ && glass_eta_ != 1.0f) {
-            const bool inwards = glass_eta_ > 1.0f;
-            const float energy = look_up_albedo(tables, inwards ? glass_entering_table : glass_leaving_table,
-                                                material.roughness, cos_view, z);
-            const float mean = look_up_albedo(tables, inwards ? mean_glass_entering_table : mean_glass_leaving_table,
-                                              material.roughness, 0.0f, z);
+            AlbedoTable table = glass_entering_table, mean_table = mean_glass_entering_table;
+            if (glass_eta_ < 1.0f) {
+                table.start = glass_leaving_table.start;
+                mean_table.start = mean_glass_leaving_table.start;
+            }
+            const float energy = look_up_albedo(tables, table, material.roughness, cos_view, z);
+            const float mean = look_up_albedo(tables, mean_table, material.roughness, 0.0f, z);
             glass_ *= given_back(energy, mean, transmission_tint_);
         }
         if (refracts_only_) return weight * transmission_tint_;

@@ -9,20 +9,17 @@
 namespace svgf {
 
 // Fuzz as a linearly transformed cosine [Zeltner22]: (x, y, z) -> (a x + b z, a y, z), x along the view's azimuth, makes
-// the lobe a cosine. The fits are those of [MaterialX].
+// the lobe a cosine. The fits are those of [MaterialX]; that of the albedo is off by up to 10 %, hence a table.
 struct Sheen {
     float a = 1, b = 0, albedo = 0;
 
     Sheen() = default;
-    SVGF_HD Sheen(float cos_view, float roughness) {
+    SVGF_HD Sheen(const float* tables, float cos_view, float roughness) {
         const float x = saturate(cos_view), y = clamp(roughness, smallest_roughness, 1.0f);
         a = (2.58126f * x + 0.813703f * y) * y / (1.0f + 0.310327f * x * x + 2.60994f * x * y);
         b = std::sqrt(1.0f - x) * (y - 1.0f) * y * y * y /
             (0.0000254053f + 1.71228f * x - 1.71506f * x * y + 1.34174f * y * y);
-        const float width = y * (0.0206607f + 1.58491f * y) / (0.0379424f + y * (1.32227f + y));
-        const float middle = y * (-0.193854f + y * (-1.14885f + y * (1.7932f - 0.95943f * y * y))) / (0.046391f + y);
-        const float floor = y * (0.000654023f + (-0.0207818f + 0.119681f * y) * y) / (1.26264f + y * (-1.92021f + y));
-        albedo = saturate(std::exp(-0.5f * square((x - middle) / width)) / (width * 2.50662827f) + floor);
+        albedo = look_up_albedo(tables, sheen_table, roughness, cos_view);
     }
 
     // Density, which is also the lobe's value over its weight [Zeltner22, Eq. 3]. light: local, x along the view's azimuth.
@@ -55,7 +52,7 @@ struct Layers {
         float share = 1.0f;
         if constexpr (covers(kernel, Effects::sheen))
             if (material.sheen_weight > 0.0f) {
-                sheen = Sheen(cos_view, material.sheen_roughness);
+                sheen = Sheen(tables, cos_view, material.sheen_roughness);
                 sheen_weight = material.sheen_tint * (material.sheen_weight * sheen.albedo);
                 share = saturate(1.0f - max_component(sheen_weight));
                 below = {share, share, share};

@@ -58,7 +58,8 @@ constexpr AlbedoTable glass_entering_table{dielectric_table.end(), 16, 16, 16};
 constexpr AlbedoTable glass_leaving_table{glass_entering_table.end(), 16, 16, 16};
 constexpr AlbedoTable mean_glass_entering_table{glass_leaving_table.end(), 16, 1, 16};
 constexpr AlbedoTable mean_glass_leaving_table{mean_glass_entering_table.end(), 16, 1, 16};
-constexpr int albedo_table_size = mean_glass_leaving_table.end();
+constexpr AlbedoTable sheen_table{mean_glass_leaving_table.end(), 32, 32, 1};
+constexpr int albedo_table_size = sheen_table.end();
 
 // Trilinear.
 SVGF_HD inline SVGF_NOINLINE float look_up_albedo(const float* tables, AlbedoTable table, float roughness,

@@ -6,6 +6,7 @@
 #include "core/vec.h"
 #include "scene/flat_scene.h"
 #include "trace/intersect.h"
+#include "trace/layers.h"
 #include "trace/microfacet.h"
 #include "trace/texture.h"
 
@@ -245,6 +246,10 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
             surface.tangent = find_tangent(mesh, hit, triangle, instance, to_world, object_position,
                                            material.tangent_uv_layer);
     surface.emission = material.emission;
+    if constexpr (covers(kernel, Effects::coat) || covers(kernel, Effects::sheen))
+        if (max_component(surface.emission) > 0.0f && material.kind == MaterialKind::principled)
+            surface.emission = surface.emission * Layers<kernel>(scene.albedo_tables, material,
+                                                                 std::fabs(dot(surface.shading_normal, view))).below;
     if constexpr (covers(kernel, Effects::alpha)) {
         const Opacity found = find_opacity(material);
         surface.emission *= found.opacity;

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of svgf.albedo: their derivation, and lookups.
 
-``python -m svgf.reference.albedo`` computes them by quadrature over visible normals, in minutes of which most go to the
+``python -m svgf.reference.albedo`` computes all but "sheen" by quadrature over visible normals, in minutes of which most go to the
 glass, and writes ``svgf/albedo_tables.npy``.
 """
 
@@ -88,8 +88,12 @@ def dielectric_at(roughness: float, cosine: float, ior: float, count: int = 96) 
     from .bsdf import fresnel_dielectric, normal_reflectance
 
     f0 = normal_reflectance(ior)
+    # Seen at an angle, a dense dielectric may reflect less than f0.
     return mean_at(
-        roughness, cosine, lambda c: (fresnel_dielectric(c, np.full(len(c), ior)) - f0) / (1.0 - f0), count
+        roughness,
+        cosine,
+        lambda c: np.clip((fresnel_dielectric(c, np.full(len(c), ior)) - f0) / (1.0 - f0), 0.0, 1.0),
+        count,
     )
 
 
@@ -135,7 +139,9 @@ def compute() -> np.ndarray:
     }
     result = {}
     for name, (depth, rows, columns) in SHAPES.items():
-        if name in at:
+        if name == "sheen":
+            result[name] = tables()[name]
+        elif name in at:
             result[name] = np.array(
                 [
                     [[at[name](i / (columns - 1), j / (rows - 1), k) for i in range(columns)] for j in range(rows)]

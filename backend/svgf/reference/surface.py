@@ -9,7 +9,7 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .bsdf import Bsdf, column, fresnel_dielectric, make_bsdf
+from .bsdf import Bsdf, column, fresnel_dielectric, make_bsdf, make_layers
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .lights import Lights
@@ -174,7 +174,8 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
     tangent = _anisotropy_tangent(shapes, instance, triangle, corners, object_position, rows, to_world, inverse)
 
     opacity, tint = find_opacity(rows)
-    emission = column(rows, "emission") * (opacity * weight)[:, None]
+    below = make_layers(rows, np.abs(dot(shading_normal, view))).below
+    emission = column(rows, "emission") * below * (opacity * weight)[:, None]
     light_emission = column(scene.materials[material], "light_emission")
     # Of a mix of lamps that paths aim at: all of it, always.
     kind = scene.materials[material][:, MATERIAL_COLUMNS["kind"]]
