@@ -317,7 +317,7 @@ def test_furnace_of_the_environment(device):
     sky = dataclasses.replace(scenes.sky_texture(), pixels=np.ones((8, 16, 4), np.float32))
     white = Material("white", base_color=(1.0, 1.0, 1.0), specular_ior_level=0.0)
     scene = scenes.build(
-        [(scenes.sphere(1.0), scenes.transform(), [white])], scenes.camera((0, -3, 0), (0, 0, 0)),
+        [(scenes.sphere(1.0, smooth=False), scenes.transform(), [white])], scenes.camera((0, -3, 0), (0, 0, 0)),
         textures=[sky], world=World((1, 1, 1), environment=0),
     )  # fmt: skip
     images = trace(device, scene, bounces=4, samples=16)
