@@ -358,6 +358,8 @@ def test_materials_that_nothing_uses_have_no_effect():
         (Material(alpha=0.5, specular_ior_level=0.0), Effects.ALPHA),
         (Material(maps={"alpha": TextureMap(0)}, ior=1.0), Effects.ALPHA | Effects.TEXTURES),
         (Material(maps={"ior": TextureMap(0)}, ior=1.0), Effects.SPECULAR | Effects.TEXTURES),
+        (Material(diffuse_roughness=0.1, ior=1.0), Effects.SPECULAR),
+        (Material(kind=MaterialKind.DIFFUSE, diffuse_roughness=0.1), Effects.SPECULAR),
         (Material(coat_weight=0.1, ior=1.0), Effects.SPECULAR | Effects.COAT),
         (Material(sheen_weight=0.1, ior=1.0), Effects.SPECULAR | Effects.SHEEN),
         (Material(anisotropic=0.1), Effects.SPECULAR | Effects.ANISOTROPY),

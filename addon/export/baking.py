@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,21 +199,24 @@ def _square(uv_map: str, bounds: np.ndarray, side: int) -> Domain:
 
 
 class _BakeCache:
-    """Textures by content, the oldest dropped first."""
+    """Textures by content, the one dropped first that was not asked for the longest. bakes: made so far."""
 
     def __init__(self) -> None:
         self.bakes = 0
         self._textures: OrderedDict[bytes, Texture] = OrderedDict()
 
-    def get(self, key: bytes, make) -> Texture:
+    def get(self, key: bytes, make: Callable[[], Texture]) -> Texture:
         texture = self._textures.get(key)
         if texture is None:
             self.bakes += 1
             texture = self._textures[key] = make()
-            while sum(kept.pixels.nbytes for kept in self._textures.values()) > _CACHE_BYTES and len(self._textures) > 1:
+            while len(self._textures) > 1 and self._bytes() > _CACHE_BYTES:
                 self._textures.popitem(last=False)
         self._textures.move_to_end(key)
         return texture
+
+    def _bytes(self) -> int:
+        return sum(texture.pixels.nbytes for texture in self._textures.values())
 
 
 cache = _BakeCache()

@@ -15,12 +15,13 @@ _NOTHING: frozenset[str] = frozenset()
 class Changes:
     """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
 
-    moves_only: objects have moved, and that is all. Otherwise materials, lamps and the world, which are few, are read
-    again.
+    materials: full names of those whose nodes may differ; None: any.
+    moves_only: objects have moved, and that is all. Otherwise lamps and the world, which are few, are read again.
     """
 
     geometry: frozenset[str] = _NOTHING
     images: frozenset[str] = _NOTHING
+    materials: frozenset[str] | None = _NOTHING
     moves_only: bool = False
 
 
@@ -30,18 +31,28 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
     that an object was selected as well as hidden.
     """
-    geometry, images, exports, moves_only = set(), set(), False, True
+    geometry, images, materials, exports, moves_only = set(), set(), set(), False, True
+    trees, owned = set(), set()
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
             continue
         exports = True
         moves_only &= isinstance(changed, bpy.types.Object) and _has_only_moved(update)
-        if isinstance(changed, bpy.types.Image):
+        if isinstance(changed, bpy.types.Material):
+            materials.add(changed.name_full)
+            owned.add(changed.original.node_tree)
+        elif isinstance(changed, bpy.types.NodeTree):
+            trees.add(changed.original)
+        elif isinstance(changed, bpy.types.Image):
             images.add(changed.name_full)
         elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
             geometry.add(changed.name_full)
-    return Changes(frozenset(geometry), frozenset(images), moves_only) if exports else None
+    if not exports:
+        return None
+    # A tree comes without its material where a colour ramp was edited; a group may be used by any.
+    known = frozenset(materials) if trees <= owned else None
+    return Changes(frozenset(geometry), frozenset(images), known, moves_only)
 
 
 def _has_only_moved(update: bpy.types.DepsgraphUpdate) -> bool:

@@ -10,13 +10,14 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 from svgf.errors import InputError
-from svgf.scene import Camera, Instances, Light, Material, Mesh, RayVisibility, RenderDefaults, Scene, Texture, World
+from svgf.light_paths import LightPaths
+from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
 
 from .camera import export_camera, render_size
 from .changes import Changes
 from .findings import Finding, Findings
 from .instances import Key, Layout, collect, moved_matrices, object_ids
-from .materials import MaterialTable
+from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
 from .uv_maps import find_uv_layers
@@ -44,8 +45,8 @@ class _Snapshot:
     meshes: tuple[Mesh, ...]
     instance_mesh: np.ndarray
     material_start: np.ndarray
+    visibility: np.ndarray
     material_table: np.ndarray
-    visibility: np.ndarray | None
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
     lights: tuple[Light, ...]
@@ -87,6 +88,7 @@ class Exporter:
         self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
         self._textures = TextureCache()
+        self._materials = MaterialCache()
         self._last: _Snapshot | None = None
         self._instances: Instances | None = None
 
@@ -141,6 +143,10 @@ class Exporter:
             if changes.moves_only and last is not None and self._move(depsgraph, camera):
                 return self._scene(self._last, last)
             self._textures.forget(changes.images)
+        if changes is None or changes.images or changes.materials is None:
+            self._materials.forget()
+        else:
+            self._materials.forget(changes.materials)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
@@ -166,6 +172,7 @@ class Exporter:
         scene, findings = depsgraph.scene_eval, Findings()
         size, camera = size or render_size(scene.render), camera or scene.camera
         exported = export_camera(camera, scene, size, findings)
+        self._materials.forget()
         return self._snapshot(depsgraph, size, camera.name_full, exported, findings)
 
     def _snapshot(
@@ -181,11 +188,16 @@ class Exporter:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, view_layer, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
-        materials = MaterialTable(self._textures, findings, layers)
+        materials = MaterialTable(self._textures, self._materials, findings, layers)
         self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
-        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        world = getattr(view_layer, "world_override", None) or scene.world
+        world, sky = export_world(world, self._textures, findings)
+        textures = list(materials.textures)
+        if sky is not None:
+            world = replace(world, environment=len(textures))
+            textures.append(sky)
         keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
             frame=scene.frame_current,
@@ -198,10 +210,10 @@ class Exporter:
             meshes=_keep_all(placements.meshes, last and last.meshes),
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
+            visibility=np.array(placements.visibility, np.uint8),
             material_table=np.array(placements.material_table, np.int32),
-            visibility=_visibility(placements.visibility),
             materials=_keep_all(materials.materials, last and last.materials),
-            textures=_keep_all(materials.textures, last and last.textures),
+            textures=_keep_all(textures, last and last.textures),
             lights=_keep_all(placements.lights, last and last.lights),
             world=_keep(world, last and last.world),
             defaults=render_defaults(scene, size),
@@ -262,12 +274,6 @@ def export_scene(
     return (previous or Exporter()).export(depsgraph, size)
 
 
-def _visibility(rays: list[RayVisibility]) -> np.ndarray | None:
-    """As Instances have it."""
-    values = np.array(rays, np.uint8)
-    return None if (values == RayVisibility.ALL).all() else values
-
-
 def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
     """float64 [N, 3, 4]: an object that was not there at the previous frame has not moved."""
     if last is None or not len(now.matrices):
@@ -309,7 +315,23 @@ def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefa
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
+        light_paths=LightPaths() if cycles is None else _light_paths(cycles),
         transparent_film=render.film_transparent,
+    )
+
+
+def _light_paths(cycles: bpy.types.PropertyGroup) -> LightPaths:
+    """Cycles' own settings of a scene."""
+    return LightPaths(
+        diffuse_bounces=cycles.diffuse_bounces,
+        glossy_bounces=cycles.glossy_bounces,
+        transmission_bounces=cycles.transmission_bounces,
+        transparent_bounces=cycles.transparent_max_bounces,
+        reflective_caustics=cycles.caustics_reflective,
+        refractive_caustics=cycles.caustics_refractive,
+        clamp_direct=cycles.sample_clamp_direct,
+        clamp_indirect=cycles.sample_clamp_indirect,
+        filter_glossy=cycles.blur_glossy,
     )
 
 

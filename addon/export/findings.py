@@ -38,6 +38,11 @@ class Findings:
     def found(self) -> tuple[Finding, ...]:
         return tuple(Finding(id_type, tuple(names), text) for (id_type, text), names in self._names.items())
 
+    def extend(self, other: Findings) -> None:
+        """Adds all that another one has collected."""
+        for key, names in other._names.items():
+            self._names.setdefault(key, {}).update(names)
+
     def sentences(self) -> tuple[str, ...]:
         return tuple(finding.sentence for finding in self.found())
 

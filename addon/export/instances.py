@@ -16,6 +16,7 @@ from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .uv_maps import UvUse
+from .visibility import ray_visibility
 
 # Names a placement in every frame: the object, and for an instance also its parent and its number there.
 Key = tuple[str, str, bytes]
@@ -23,7 +24,6 @@ Key = tuple[str, str, bytes]
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
 
-_RAYS = {f"visible_{ray.name.lower()}": ray for ray in RayVisibility if ray.name}
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
     "POINTCLOUD": "point clouds are",
@@ -58,8 +58,8 @@ class Placements:
     keys: list[Key] = field(default_factory=list)
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
+    visibility: list[int] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
-    visibility: list[RayVisibility] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
     layout: Layout | None = None
@@ -190,11 +190,7 @@ class _Collector:
     def _visibility_of(self, obj: bpy.types.Object) -> RayVisibility:
         name = obj.name_full
         if name not in self._visibilities:
-            rays = RayVisibility.NONE
-            for attribute, ray in _RAYS.items():
-                if getattr(obj, attribute):
-                    rays |= ray
-            original = obj.original
+            rays, original = ray_visibility(obj), obj.original
             if original.holdout_get(view_layer=self._view_layer):
                 self._findings.add(obj, "holdouts are not supported yet; the object is an ordinary one.")
             elif original.indirect_only_get(view_layer=self._view_layer):
@@ -221,7 +217,7 @@ class _Collector:
         self._placements.keys.append(key)
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
-        self._placements.visibility.append(visibility)
+        self._placements.visibility.append(int(visibility))
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""

@@ -16,14 +16,14 @@ from .evaluation.images import sample_alpha, sample_color
 from .node_values import ValueReader, component
 from .nodes import Place, describe, trace
 from .textures import TextureCache
-from .uv_maps import UvLayers, UvUse
+from .uv_maps import MaterialUse, UvLayers
 
 # Squares of UVs along a side: a texture that covers more of them is too coarse to be read up close.
 _MANY_SQUARES = 8
 
 
 class TextureTable:
-    """The textures of one frame, numbered in the order in which they are met."""
+    """Textures, numbered in the order in which they are met."""
 
     def __init__(self) -> None:
         self.textures: list[Texture] = []
@@ -38,23 +38,20 @@ class TextureTable:
 
 @dataclass(frozen=True)
 class Context:
-    """What the materials of one frame share."""
+    """What the inputs of one material are read with. table: the textures of this material."""
 
     cache: TextureCache
     table: TextureTable
     layers: UvLayers
-    use: UvUse
+    use: MaterialUse
 
 
 class InputReader:
-    """Reads the inputs of the material of one number."""
+    """Reads the inputs of one material."""
 
-    def __init__(
-        self, context: Context, values: ValueReader, index: int, name: str, find: Callable[[str], None]
-    ) -> None:
+    def __init__(self, context: Context, values: ValueReader, name: str, find: Callable[[str], None]) -> None:
         self._context = context
         self._values = values
-        self._index = index
         self._name = name
         self._find = find
 
@@ -119,8 +116,8 @@ class InputReader:
         if uv_map is None:
             return 1.0, None
         layer = self._context.layers.index(uv_map)
-        domain = baking.domain_of(parts, self._context.use.bounds(self._index, layer), uv_map)
-        metres = self._context.use.metres(self._index, layer)
+        domain = baking.domain_of(parts, self._context.use.bounds(layer), uv_map)
+        metres = self._context.use.metres(layer)
         texture = baking.bake_normal(f"{self._name} Normal", normal, domain, metres)
         return 1.0, self._map(texture, 0, domain.uv_map, domain.transform)
 
@@ -162,7 +159,7 @@ class InputReader:
         if uv_map is None:
             return None
         layer = self._context.layers.index(uv_map)
-        bounds = self._context.use.bounds(self._index, layer)
+        bounds = self._context.use.bounds(layer)
         domain = baking.domain_of([value], bounds, uv_map)
         if domain.is_limited(bounds) and np.ptp(bounds, axis=0).max() > _MANY_SQUARES:
             self._find(
@@ -184,10 +181,12 @@ class InputReader:
         return None
 
     def _map(self, texture: Texture, channel: int, uv_map: str, transform: baking.Affine) -> TextureMap:
-        without = self._context.use.without_uvs(self._index)
+        without = self._context.use.without_uvs()
         if without:
             names = ", ".join(f'"{name}"' for name in without[:3]) + (" and others" if len(without) > 3 else "")
             self._find(f"mesh {names} has no UV map; textures are read at (0, 0) there, as in Cycles.")
+        if not self._context.layers.holds(uv_map):
+            self._find(f'UV map "{uv_map}" is one too many for one scene; the active one is used instead.')
         layer = self._context.layers.index(uv_map)
         return TextureMap(self._context.table.index(texture), channel, layer, transform)
 

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Set
+from dataclasses import dataclass, replace
 
 import bpy
 from svgf.scene import Material, MaterialKind, Texture
@@ -15,7 +16,34 @@ from .node_values import ValueReader
 from .nodes import Place, describe, find_input, has_nodes, trace
 from .surfaces import BLACK, Surface, SurfaceReader
 from .textures import TextureCache
-from .uv_maps import UvLayers, UvUse
+from .uv_maps import MaterialUse, UvLayers, UvUse
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """What was read of one material. Its maps have numbers of its own textures.
+
+    layers, use: what else it depends on.
+    """
+
+    surface: Surface
+    textures: list[Texture]
+    findings: Findings
+    layers: UvLayers
+    use: MaterialUse
+
+
+class MaterialCache:
+    """Materials of the last frame by full name. reads: how often the nodes of one were read."""
+
+    def __init__(self) -> None:
+        self.reads = 0
+        self.readings: dict[str, _Reading] = {}
+
+    def forget(self, names: Set[str] | None = None) -> None:
+        """Materials whose nodes may differ; None: any."""
+        for name in list(self.readings) if names is None else names:
+            self.readings.pop(name, None)
 
 
 class MaterialTable:
@@ -24,10 +52,11 @@ class MaterialTable:
     materials: records. The first are those that were numbered, the others what they are mixed of.
     """
 
-    def __init__(self, textures: TextureCache, findings: Findings, layers: UvLayers) -> None:
+    def __init__(self, textures: TextureCache, cache: MaterialCache, findings: Findings, layers: UvLayers) -> None:
         self.materials: list[Material] = []
         self._textures = TextureTable()
-        self._cache = textures
+        self._images = textures
+        self._cache = cache
         self._findings = findings
         self._layers = layers
         self._indices: dict[str | None, int] = {}
@@ -47,14 +76,33 @@ class MaterialTable:
 
     def read(self, use: UvUse) -> None:
         """Reads all that were numbered. use: what meshes do with their UVs, which textures are baked for."""
-        context = Context(self._cache, self._textures, self._layers, use)
         surfaces = [
-            Surface(Material()) if source is None else _read(source, index, context, self._findings)
+            Surface(Material()) if source is None else self._read(source, MaterialUse(use, index))
             for index, source in enumerate(self._sources)
         ]
         self.materials[:] = [surface.material for surface in surfaces]
         for index, surface in enumerate(surfaces):
             self._place(surface, index)
+
+    def _read(self, material: bpy.types.Material, use: MaterialUse) -> Surface:
+        name = material.name_full
+        reading = self._cache.readings.get(name)
+        if reading is None or reading.layers != self._layers or not use.answers_like(reading.use):
+            self._cache.reads += 1
+            context = Context(self._images, TextureTable(), self._layers, use)
+            findings = Findings()
+            surface = _surface(material, context, findings)
+            surface = replace(surface, material=replace(surface.material, name=material.name))
+            reading = _Reading(surface, context.table.textures, findings, self._layers, use)
+            self._cache.readings[name] = reading
+        self._findings.extend(reading.findings)
+        return self._numbered(reading.surface, [self._textures.index(texture) for texture in reading.textures])
+
+    def _numbered(self, surface: Surface, numbers: list[int]) -> Surface:
+        """With the numbers of the textures in this frame."""
+        maps = {name: replace(old, texture=numbers[old.texture]) for name, old in surface.material.maps.items()}
+        parts = tuple(self._numbered(part, numbers) for part in surface.parts)
+        return Surface(replace(surface.material, maps=maps), parts)
 
     def _place(self, surface: Surface, index: int) -> None:
         """Gives the parts of a mix their numbers."""
@@ -68,15 +116,10 @@ class MaterialTable:
         self.materials[index] = replace(surface.material, first=numbers[0], second=numbers[1])
 
 
-def _read(material: bpy.types.Material, index: int, context: Context, findings: Findings) -> Surface:
+def _surface(material: bpy.types.Material, context: Context, findings: Findings) -> Surface:
     def find(text: str) -> None:
         findings.add(material, text)
 
-    surface = _surface(material, index, context, findings, find)
-    return replace(surface, material=replace(surface.material, name=material.name))
-
-
-def _surface(material: bpy.types.Material, index: int, context: Context, findings: Findings, find) -> Surface:
     if not has_nodes(material):
         color = tuple(min(max(part, 0.0), 1.0) for part in material.diffuse_color[:3])
         return Surface(Material(kind=MaterialKind.DIFFUSE, base_color=color))
@@ -86,7 +129,7 @@ def _surface(material: bpy.types.Material, index: int, context: Context, finding
     if trace(find_input(output, "Volume")).is_output:
         find("volumes are not supported yet; the inside is empty.")
     values = ValueReader(context.cache, find, findings.add, context.layers.known)
-    inputs = InputReader(context, values, index, material.name, find)
+    inputs = InputReader(context, values, material.name, find)
     displacement = _displacement(material, find_input(output, "Displacement"), inputs, find)
     reader = SurfaceReader(inputs, find, context.layers.index, displacement)
     return reader.read(find_input(output, "Surface"))

@@ -15,7 +15,7 @@ import numpy as np
 from .evaluation import arithmetic, color, images, noise, patterns, voronoi
 from .evaluation.expression import Expression, apply, constant, coordinate
 from .nodes import Place, describe, trace
-from .textures import TextureCache
+from .textures import Find, FindImage, TextureCache
 
 # Coordinates by name: a UV map by its own, the active one by "".
 UV = "uv:"
@@ -25,17 +25,22 @@ DIRECTION = "direction"
 _MAGENTA = (1.0, 0.0, 1.0)
 _TABLE_SIZE = 256
 
-Find = Callable[[str], None]
-
 
 class ValueReader:
     """Reads the sockets of one material, world or lamp."""
 
     def __init__(
-        self, textures: TextureCache, find: Find, find_image: Callable[[bpy.types.Image, str], None],
-        uv_maps: Set[str] = frozenset(), is_world: bool = False,
+        self,
+        textures: TextureCache,
+        find: Find,
+        find_image: FindImage,
+        uv_maps: Set[str] = frozenset(),
+        is_world: bool = False,
     ) -> None:
-        """find: takes sentences on what is not simulated. uv_maps: names that an Attribute node may ask for."""
+        """find: takes sentences on what is not simulated. uv_maps: names that an Attribute node may ask for.
+
+        is_world: coordinates are directions, to be evaluated at {DIRECTION: unit vectors}.
+        """
         self._textures = textures
         self._find = find
         self._find_image = find_image
@@ -147,6 +152,10 @@ def component(value: np.ndarray, *, index: int) -> np.ndarray:
     return value[:, index]
 
 
+def _negated(value: np.ndarray) -> np.ndarray:
+    return -value
+
+
 def _joined(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.stack(np.broadcast_arrays(x, y, z), 1)
 
@@ -192,8 +201,7 @@ def _geometry(node: _Node) -> Expression | None:
     if node.output in {"Position", "Normal", "True Normal"}:
         return coordinate(DIRECTION)
     if node.output == "Incoming":
-        return apply(arithmetic.vector_math, coordinate(DIRECTION), *[constant((-1.0,) * 3)] * 2, constant(1.0),
-                     operation="MULTIPLY")
+        return apply(_negated, coordinate(DIRECTION))
     return None
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-import bpy
 import numpy as np
 from svgf.scene import DEEPEST_MIX, Material, MaterialKind, TextureMap
 
@@ -221,7 +220,7 @@ class SurfaceReader:
     def _add(self, node: Place) -> Surface:
         first, second = self.read(node.input(0)), self.read(node.input(1))
         merged = _merged(first, second) or _merged(second, first)
-        return merged or self._checked(node, Surface(Material(kind=MaterialKind.ADD), (first, second)))
+        return merged or self._checked(Surface(Material(kind=MaterialKind.ADD), (first, second)))
 
     def _mix(self, node: Place) -> Surface:
         fields = _Fields()
@@ -243,12 +242,14 @@ class SurfaceReader:
                 return self.read(node.input(2 if value else 1))
             fields.add("factor", value, texture_map)
         parts = self.read(node.input(1)), self.read(node.input(2))
-        return self._checked(node, Surface(fields.material(MaterialKind.MIX), parts))
+        return self._checked(Surface(fields.material(MaterialKind.MIX), parts))
 
-    def _checked(self, node: Place, surface: Surface) -> Surface:
+    def _checked(self, surface: Surface) -> Surface:
         if surface.depth <= DEEPEST_MIX:
             return surface
-        self._find(f"{describe(node.node)} mixes more than {DEEPEST_MIX} levels of shaders; only its first is used.")
+        self._find(
+            f"more than {DEEPEST_MIX} levels of mixed shaders are not supported; the first of the outer is used."
+        )
         return surface.parts[0]
 
     # Inputs

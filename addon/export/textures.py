@@ -19,7 +19,9 @@ _INTERPOLATIONS = {
     "Cubic": Interpolation.CUBIC,
     "Smart": Interpolation.CUBIC,
 }
-# Larger images are halved: beyond it a texture would be gigabytes.
+# As measured: Cycles no longer multiplies bytes of premultiplied images, which Blender has divided when it read them.
+_KEEPS_PREMULTIPLIED_BYTES = bpy.app.version >= (5, 2, 0)
+# Larger images are reduced: beyond it a texture would be gigabytes.
 LARGEST_SIDE = 16384
 
 _FROM_REC2020 = ((1.660491, -0.587641, -0.072850), (-0.124550, 1.132900, -0.008349), (-0.018151, -0.100579, 1.118730))
@@ -82,20 +84,11 @@ class TextureCache:
     def __init__(self) -> None:
         self._images: dict[tuple, Image | None] = {}
         self._textures: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()
-        self._means: dict[tuple, np.ndarray | None] = {}
 
     def forget(self, names: Set[str]) -> None:
         """Images by full name, which are read again."""
-        for cache in (self._images, self._means):
-            for key in [key for key in cache if key[0] in names]:
-                del cache[key]
-
-    def mean_radiance(self, image: bpy.types.Image) -> np.ndarray | None:
-        """[3] mean over all directions of an equirectangular image; None where it is missing."""
-        key = _identity(image)
-        if key not in self._means:
-            self._means[key] = _mean_radiance(image)
-        return self._means[key]
+        for key in [key for key in self._images if key[0] in names]:
+            del self._images[key]
 
     def image(self, node: bpy.types.Node, find: Find, find_image: FindImage) -> Image | None:
         """What an Image or Environment Texture node reads; None where its image is missing."""
@@ -145,7 +138,7 @@ def _read(
         pixels = _reduced(pixels, factor)
     if pixels.dtype != np.uint8:
         np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    elif has_alpha:
+    elif has_alpha and not (source.alpha_mode == "PREMUL" and _KEEPS_PREMULTIPLIED_BYTES):
         _multiply_alpha(pixels)
     if source.alpha_mode == "NONE":
         pixels[..., 3] = 255 if pixels.dtype == np.uint8 else 1
@@ -167,25 +160,11 @@ def _identity(image: bpy.types.Image) -> tuple:
     )
 
 
-def _mean_radiance(image: bpy.types.Image) -> np.ndarray | None:
-    pixels = read_pixels(image)
-    if pixels is None:
-        return None
-    weights = np.sin((np.arange(pixels.shape[0]) + 0.5) * np.pi / pixels.shape[0])
-    color = pixels[..., :3]
-    if color.dtype == np.uint8:
-        color = color.astype(np.float32) / 255
-        if not _is_data(image):
-            color = srgb_to_linear(color)
-    rows = np.nan_to_num(color, posinf=0, neginf=0).mean(axis=1, dtype=np.float64)
-    return np.average(rows, axis=0, weights=weights)
-
-
 def _multiply_alpha(pixels: np.ndarray) -> None:
     """Bytes by their alpha, in the image's encoding as Cycles does it. Blender keeps bytes without it, floats with."""
     alpha = pixels[..., 3:]
     if alpha.min() < 255:
-        pixels[..., :3] = (pixels[..., :3] * alpha.astype(np.uint16) + 127) // 255
+        pixels[..., :3] = pixels[..., :3] * alpha.astype(np.uint16) // 255
 
 
 def _reduction(image: bpy.types.Image) -> int:

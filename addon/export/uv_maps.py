@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import bpy
 import numpy as np
 from svgf.scene import Mesh
+from svgf.scene_validation import MOST_UV_LAYERS
 
 # A mesh without UVs has them all at the origin.
 _NOWHERE = np.zeros((2, 2))
@@ -17,39 +19,46 @@ _NOWHERE = np.zeros((2, 2))
 class UvLayers:
     """The layers that all meshes of a scene are exported with, by the name of their UV map; "" is the active one.
 
-    names: the first is "". known: all UV maps that some mesh has.
+    names: the first is ""; those beyond what a scene can hold are left out. known: all UV maps that some mesh has.
     """
 
-    def __init__(self, names: Sequence[str] = ("",), aliases: frozenset[str] = frozenset(),
-                 known: frozenset[str] = frozenset()) -> None:
-        self.names = tuple(names)
+    def __init__(
+        self,
+        names: Sequence[str] = ("",),
+        aliases: frozenset[str] = frozenset(),
+        known: frozenset[str] = frozenset(),
+    ) -> None:
+        """aliases: names that stand for the active map."""
+        self.names = tuple(names)[:MOST_UV_LAYERS]
         self.known = known
         self._aliases = aliases
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, UvLayers) and vars(self) == vars(other)
+
     def index(self, uv_map: str) -> int:
-        """Of a UV map that was found in a material."""
-        return 0 if uv_map in self._aliases else self.names.index(uv_map)
+        """Of a UV map that a material names; the active one's where it was left out."""
+        return self.names.index(uv_map) if uv_map in self.names else 0
+
+    def holds(self, uv_map: str) -> bool:
+        return uv_map in self.names or uv_map in self._aliases
 
 
 def find_uv_layers(materials: Iterable[bpy.types.Material], meshes: Iterable[bpy.types.Mesh]) -> UvLayers:
-    """A map that is the active one of every mesh needs no layer of its own."""
-    wanted = {name for material in materials if material.node_tree for name in _names(material.node_tree, set())}
-    if not wanted:
+    """A map that is the active one of every mesh needs no layer of its own; one that no mesh has is (0, 0)."""
+    named = [pair for material in materials if material.node_tree for pair in _names(material.node_tree, set())]
+    if not named:
         return UvLayers()
-    known, inactive = set(), set()
-    for mesh in meshes:
-        for layer in mesh.uv_layers:
-            known.add(layer.name)
-            if not layer.active_render:
-                inactive.add(layer.name)
-        active = {layer.name for layer in mesh.uv_layers if layer.active_render}
-        inactive |= wanted - active if len(mesh.uv_layers) else set()
-    wanted &= known
-    return UvLayers(("", *sorted(wanted & inactive)), frozenset(wanted - inactive), frozenset(known))
+    maps = [{layer.name: layer.active_render for layer in mesh.uv_layers} for mesh in meshes if len(mesh.uv_layers)]
+    known = {name for names in maps for name in names}
+    # An attribute that is no UV map of any mesh is something else.
+    wanted = {name for name, is_attribute in named if name in known or not is_attribute}
+    aliases = {name for name in wanted & known if all(names.get(name, False) for names in maps)}
+    return UvLayers(("", *sorted(wanted - aliases)), frozenset(aliases), frozenset(known))
 
 
-def _names(tree: bpy.types.NodeTree, seen: set[str]) -> Iterator[str]:
-    """UV maps that nodes name, groups included."""
+def _names(tree: bpy.types.NodeTree, seen: set[str]) -> Iterator[tuple[str, bool]]:
+    """Of UV maps that nodes ask for, and whether as an attribute, which may be another; groups included."""
     if tree.name_full in seen:
         return
     seen.add(tree.name_full)
@@ -58,7 +67,7 @@ def _names(tree: bpy.types.NodeTree, seen: set[str]) -> Iterator[str]:
             yield from _names(node.node_tree, seen)
         for attribute in ("uv_map", "attribute_name"):
             if name := getattr(node, attribute, ""):
-                yield name
+                yield name, attribute == "attribute_name"
 
 
 class UvUse:
@@ -67,8 +76,13 @@ class UvUse:
     # Of a slot of a mesh and a layer: bounds, and how long U and V are. They change as rarely as meshes do.
     _facts: WeakKeyDictionary[Mesh, dict] = WeakKeyDictionary()
 
-    def __init__(self, meshes: Sequence[Mesh], rows: Iterable[tuple[int, int]], table: Sequence[int],
-                 scales: Sequence[float]) -> None:
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        rows: Iterable[tuple[int, int]],
+        table: Sequence[int],
+        scales: Sequence[float],
+    ) -> None:
         """rows: mesh and material_start of each placement. scales: of their transforms."""
         self._meshes = meshes
         self._slots: dict[int, dict[tuple[int, int], float]] = {}
@@ -109,6 +123,35 @@ class UvUse:
         if (slot, layer) not in facts:
             facts[slot, layer] = _measure(mesh, slot, layer)
         return facts[slot, layer]
+
+
+class MaterialUse:
+    """What one material asked of the UvUse of its frame, to know later whether the answers are still the same."""
+
+    def __init__(self, use: UvUse, index: int) -> None:
+        self._use = use
+        self._index = index
+        self._answers: dict[tuple, object] = {}
+
+    def bounds(self, layer: int) -> np.ndarray:
+        return self._ask(UvUse.bounds, layer)
+
+    def metres(self, layer: int) -> tuple[float, float]:
+        return self._ask(UvUse.metres, layer)
+
+    def without_uvs(self) -> list[str]:
+        return self._ask(UvUse.without_uvs)
+
+    def answers_like(self, other: MaterialUse) -> bool:
+        """Whether it would answer what another one was asked in the same way."""
+        return all(
+            np.array_equal(self._ask(question, *arguments), answer)
+            for (question, *arguments), answer in other._answers.items()
+        )
+
+    def _ask(self, question: Callable, *arguments: int) -> Any:
+        answer = self._answers[question, *arguments] = question(self._use, self._index, *arguments)
+        return answer
 
 
 def _measure(mesh: Mesh, slot: int, layer: int) -> tuple[np.ndarray, np.ndarray, float]:

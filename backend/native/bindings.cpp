@@ -19,6 +19,7 @@
 #include <variant>
 
 #include "denoise/denoiser.h"
+#include "device/bandwidth.h"
 #include "device/device.h"
 #include "trace/tracer.h"
 
@@ -71,9 +72,12 @@ struct DeviceImage {
     }
 };
 
-// The capsule keeps the image alive, and with it the device. Order with other streams: see device/cuda.h.
-nb::object dlpack_capsule(nb::handle self, nb::args, nb::kwargs) {
+// The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
+// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted); it is made to wait for the image.
+nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
     auto& image = nb::cast<DeviceImage&>(self);
+    if (stream.value_or(1) != -1)
+        std::visit([&](auto& buffer) { buffer.device().let_wait(uintptr_t(stream.value_or(1))); }, image.pixels);
     const size_t shape[3] = {size_t(image.height), size_t(image.width), size_t(image.channels)};
     return std::visit(
         [&](auto& buffer) {
@@ -319,6 +323,25 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
     return result;
 }
 
+// --- Device ----------------------------------------------------------------------------------------------------------
+
+// A numpy image, float32 or int32 [H, W] or [H, W, C], as this device's tracers and denoisers return theirs.
+nb::object upload(Device& device, nb::object image) {
+#if defined(SVGF_CUDA)
+    const auto convert = [&]<class Value>(const HostArray<Value>& array) {
+        if (array.ndim() < 2 || array.ndim() > 3) throw InputError("An image has two or three dimensions.");
+        return give_image(Buffer<Value>(device, span_of(array), "an input image"), int(array.shape(1)),
+                          int(array.shape(0)), array.ndim() == 3 ? int(array.shape(2)) : 1);
+    };
+    HostArray<int32_t> ids;
+    if (nb::try_cast(image, ids, false)) return convert(ids);
+    return convert(nb::cast<HostArray<float>>(image));
+#else
+    (void)device;
+    return image;
+#endif
+}
+
 // --- Denoiser --------------------------------------------------------------------------------------------------------
 
 DenoiseSettings read_settings(const nb::dict& values) {
@@ -338,7 +361,7 @@ Vec4 read_window(const nb::dict& images) {
     return {float(window[0]), float(window[1]), float(window[2]), float(window[3])};
 }
 
-nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
+nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -346,6 +369,8 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
     ImageReader reader(device, images, width, height);
     DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
     inputs.window = read_window(images);
+    denoiser.prepare(inputs.signals);  // on the device's own stream, which outlives the caller's
+    const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
     Buffer<float> variance(device, pixels, "the variance image"), history_length(device, pixels, "the history image");
     {
@@ -433,11 +458,14 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
-        .def("to_numpy", &to_numpy, "image"_a);
+        .def("to_numpy", &to_numpy, "image"_a)
+        .def("upload", &upload, "image"_a)
+        .def("copy_bandwidth", &measure_copy_bandwidth, "bytes"_a, "repetitions"_a,
+             nb::call_guard<nb::gil_scoped_release>());
 
 #if defined(SVGF_CUDA)
     nb::class_<DeviceImage>(module, "DeviceImage")
-        .def("__dlpack__", &dlpack_capsule)
+        .def("__dlpack__", &dlpack_capsule, nb::kw_only(), "stream"_a = nb::none(), "kwargs"_a)
         .def("__dlpack_device__", [](const DeviceImage& image) {
             return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); }, image.pixels);
         })
@@ -465,6 +493,9 @@ NB_MODULE(SVGF_MODULE, module) {
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
         }, "materials"_a, "material_maps"_a, "textures"_a)
+        .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
+            tracer.set_albedo_tables(span_of(tables));
+        }, "tables"_a)
         .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
              "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
              "emission_maps"_a)
@@ -482,12 +513,17 @@ NB_MODULE(SVGF_MODULE, module) {
             if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
-        .def("denoise", &denoise, "inputs"_a, "reset"_a)
+        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none())
         .def("set_settings", [](Denoiser& denoiser, const nb::dict& settings) {
             denoiser.set_settings(read_settings(settings));
         }, "settings"_a)
         .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
         .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("traffic", [](const Denoiser& denoiser) {
+            nb::dict result;
+            for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;
+            return result;
+        }, "Bytes that each stage of the last frame had to move at least.")
         .def("buffers", [](const Denoiser& denoiser) {
             std::vector<std::pair<std::string, size_t>> buffers;
             for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);

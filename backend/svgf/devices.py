@@ -75,6 +75,15 @@ class Device:
         """A copy on the host of an image that a tracer or a denoiser of this device returned."""
         return self._device.to_numpy(image)
 
+    def upload(self, image: np.ndarray) -> Any:
+        """The inverse of ``to_numpy``: float32 or int32 [H, W] or [H, W, C], C-contiguous, as this device's denoiser
+        takes it without a copy."""
+        return self._device.upload(image)
+
+    def copy_bandwidth(self, size: int, repetitions: int = 9) -> float:
+        """Bytes read and written per second by a plain copy of ``size`` bytes: the median. Forgets the timings."""
+        return self._device.copy_bandwidth(size, repetitions)
+
     def __repr__(self) -> str:
         return f"<svgf.Device {self.name}: {self.description}>"
 

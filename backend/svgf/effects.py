@@ -13,7 +13,7 @@ from .scene import Instances, Light, LightKind, Material, MaterialKind, Mesh, Ra
 class Effects(IntFlag):
     """The bits are those of ``core/effects.h``.
 
-    TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides the diffuse one. TRANSMISSION: a
+    TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides Lambert's. TRANSMISSION: a
     material lets light through, other than straight. MESH_LIGHTS: a mesh emits. DELTA_LIGHTS: lamps without size.
     AREA_LIGHTS: lamps with size. ENVIRONMENT: the world emits. CAMERA_MOTION, OBJECT_MOTION: moved since the previous
     frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS, COAT,
@@ -164,6 +164,7 @@ def _material_effects(material: Material) -> Effects:
             effects |= _principled_effects(material)
         case MaterialKind.DIFFUSE:
             effects |= Effects.MESH_LIGHTS if max(material.emission) > 0.0 else Effects.NONE
+            effects |= Effects.SPECULAR if material.may_have("diffuse_roughness") else Effects.NONE
         case MaterialKind.GLOSSY:
             effects |= Effects.SPECULAR
             if "anisotropic" in material.maps or material.anisotropic != 0.0:
@@ -187,6 +188,8 @@ def _principled_effects(material: Material) -> Effects:
         effects |= Effects.SHEEN | Effects.SPECULAR
     if material.may_have("coat_weight"):
         effects |= Effects.COAT | Effects.SPECULAR
+    if material.may_have("diffuse_roughness"):
+        effects |= Effects.SPECULAR
     has_interface = "ior" in material.maps or material.ior != 1.0
     is_metallic, is_glass = material.may_have("metallic"), material.may_have("transmission")
     if is_metallic or is_glass or (has_interface and material.may_have("specular_ior_level")):

@@ -49,6 +49,7 @@ def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
     levels = [level]
     for _ in range(depth):
         levels.insert(0, _union(levels[0].rows(slice(0, None, 2)), levels[0].rows(slice(1, None, 2))))
+    # Rounded as devices hold them: the sine of a cosine near 1 is sensitive to it.
     nodes = np.concatenate([
         np.column_stack([
             level.low, level.high, level.axis, level.cos_normals, level.cos_emission,
@@ -56,7 +57,7 @@ def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
         ])
         for level in levels
     ])  # fmt: skip
-    return nodes, leaves.astype(np.int32)
+    return nodes.astype(np.float32).astype(np.float64), leaves.astype(np.int32)
 
 
 def _order(bounds: LightBounds, depth: int) -> np.ndarray:

@@ -39,9 +39,7 @@ PASSES = {
     entry.name: entry
     for entry in (
         Pass("Combined", "RGBA", f"{_RADIANCE}, denoised", lambda frame: _with_alpha(frame, frame.color)),
-        Pass(
-            "Noisy Image", "RGBA", f"{_RADIANCE}, as traced", lambda frame: _with_alpha(frame, frame.noisy)
-        ),
+        Pass("Noisy Image", "RGBA", f"{_RADIANCE}, as traced", lambda frame: _with_alpha(frame, frame.noisy)),
         Pass("Denoising Albedo", "RGB", "1, diffuse plus specular reflectance", lambda frame: frame.albedo),
         Pass("Normal", "XYZ", "1, world space, 0 on the background", lambda frame: frame.normal),
         Pass("Depth", "Z", "m, along the camera's axis, 1e10 on the background", lambda frame: frame.depth),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .albedo import albedo_tables
 from .devices import Device, open_device
 from .effects import Effects
 from .errors import InputError
@@ -33,6 +34,7 @@ class SceneUploader:
         self._meshes: dict[int, tuple[Mesh, Any]] = {}
         self._textures: dict[int, tuple[Texture, Any]] = {}
         self.last: FlatScene | None = None
+        tracer.set_albedo_tables(albedo_tables())
 
     def upload(self, flat: FlatScene) -> None:
         """flat: the frame to trace next. Raises OutOfMemory, DeviceError."""

@@ -28,9 +28,8 @@ class NodeBench:
         mesh.materials.append(self.material)
         self.tree = self.material.node_tree
         self.tree.nodes.clear()
-        output = self.add("ShaderNodeOutputMaterial")
+        self.output = self.add("ShaderNodeOutputMaterial")
         self.emission = self.add("ShaderNodeEmission")
-        self.link(self.emission.outputs[0], output.inputs[0])
         self._target = self.add("ShaderNodeTexImage")
         self._target.image = bpy.data.images.new("Target", SIDE, SIDE, float_buffer=True)
         self._target.image.colorspace_settings.name = "Non-Color"
@@ -70,10 +69,19 @@ class NodeBench:
     def cycles(self, socket: bpy.types.NodeSocket) -> np.ndarray:
         """float32 [n, 3] of a socket at the texels' centres, the bottom row first."""
         self.link(socket, self.emission.inputs["Color"])
+        self.link(self.emission.outputs[0], self.output.inputs["Surface"])
+        return self._bake("EMIT")
+
+    def cycles_normals(self, shader: bpy.types.NodeSocket) -> np.ndarray:
+        """float32 [n, 3] normals in tangent space, as Cycles has them for a closure."""
+        self.link(shader, self.output.inputs["Surface"])
+        return self._bake("NORMAL") * 2 - 1
+
+    def _bake(self, kind: str) -> np.ndarray:
         self.tree.nodes.active = self._target
         bpy.context.view_layer.objects.active = self.object
         self.object.select_set(True)
-        bpy.ops.object.bake(type="EMIT", margin=0)
+        bpy.ops.object.bake(type=kind, margin=0)
         pixels = np.empty(SIDE * SIDE * 4, np.float32)
         self._target.image.pixels.foreach_get(pixels)
         return pixels.reshape(-1, 4)[:, :3]

@@ -153,7 +153,7 @@ def test_matrix_that_is_not_finite():
 def test_ray_visibility():
     """Of the object, of its instancer, and of its collection."""
     seen, ghost = add_mesh("Seen"), add_mesh("Ghost")
-    assert export().instances.visibility is None
+    assert (export().instances.visibility == RayVisibility.ALL).all()
     ghost.visible_camera = ghost.visible_shadow = False
     collection = bpy.data.collections.new("Reflected")
     bpy.context.scene.collection.children.link(collection)

@@ -103,7 +103,9 @@ COLOR_CASES = [
         data_type="VECTOR",
         factor_mode="NON_UNIFORM",
     ),
-    node_case("ShaderNodeMix", 1, {"Factor_Float": "u", "A_Vector": "vector", "B_Vector": "wide"}, data_type="VECTOR"),
+    node_case(
+        "ShaderNodeMix", 1, {"Factor_Float": "u", "A_Vector": "vector", "B_Vector": "wide"}, data_type="VECTOR"
+    ),
     node_case("ShaderNodeMixRGB", 0, {"Fac": "u", "Color1": "color", "Color2": "other color"}, blend_type="SCREEN"),
     node_case("ShaderNodeGamma", 0, {"Color": "color", "Gamma": 2.2}),
     node_case("ShaderNodeInvert", 0, {"Fac": "v", "Color": "color"}),
@@ -358,3 +360,29 @@ def test_conversions_between_numbers_vectors_and_colors(bench):
     compare(bench, math.outputs[0])
     bench.link(bench.vector(bench.u, 0.5, bench.v), math.inputs[1])  # vector to number
     compare(bench, math.outputs[0])
+
+
+def test_trees_of_the_world_are_functions_of_the_direction(bench):
+    """Coordinates that objects do not have: generated, unlinked, and those of an environment image."""
+    from blend import add_image, add_world
+    from svgf_blender.export.evaluation.expression import evaluate
+    from svgf_blender.export.node_values import DIRECTION, ValueReader
+    from svgf_blender.export.nodes import Place
+    from svgf_blender.export.textures import TextureCache
+
+    tree = add_world().node_tree
+    background = next(node for node in tree.nodes if node.type == "BACKGROUND")
+    reader = ValueReader(TextureCache(), pytest.fail, lambda image, text: pytest.fail(text), is_world=True)
+    directions = np.float32([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    gradient = tree.nodes.new("ShaderNodeTexGradient")
+    tree.links.new(gradient.outputs["Color"], background.inputs["Color"])
+    values = evaluate(reader.read(Place(background.inputs["Color"])), {DIRECTION: directions})
+    assert np.allclose(values, np.clip(directions[:, :1], 0, 1))
+    environment = tree.nodes.new("ShaderNodeTexEnvironment")
+    columns = np.ones((1, 4, 4))
+    columns[0, :, 0] = (0.1, 0.2, 0.3, 0.4)
+    environment.image, environment.interpolation = add_image("Sky", columns, "Non-Color"), "Linear"
+    tree.links.new(environment.outputs[0], background.inputs["Color"])
+    values = evaluate(reader.read(Place(background.inputs["Color"])), {DIRECTION: directions})
+    # +X is the middle of the picture, +Y a quarter to the left.
+    assert np.allclose(values[:, 0], (0.25, 0.15, 0.25, 0.35), atol=3e-3)

@@ -24,11 +24,7 @@ def state() -> tuple:
     panels = bpy.types.Panel.__subclasses__()
     return (
         hasattr(bpy.types.Scene, "svgf") or hasattr(bpy.types.ViewLayer, "svgf"),
-        {
-            panel.__name__
-            for panel in panels
-            if panel.is_registered and "SVGF" in getattr(panel, "COMPAT_ENGINES", ())
-        },
+        {panel.__name__ for panel in panels if panel.is_registered and "SVGF" in getattr(panel, "COMPAT_ENGINES", ())},
         "SVGF"
         in {getattr(kind, "bl_idname", "") for kind in bpy.types.RenderEngine.__subclasses__() if kind.is_registered},
         [len(getattr(bpy.app.handlers, name)) for name in HANDLERS],

@@ -60,7 +60,8 @@ class Job:
         pressed = time.monotonic()
         press_escape()
         yield from self.wait(20)
-        ours = moments["render"] - moments.get("stop", moments["render"])  # Blender may have ended the job by itself
+        # Without an entry, Blender ended the job before the engine had begun to wait for a frame.
+        ours = moments.get("_wait", 0.0) - moments.get("stop", moments.get("_wait", 0.0))
         print(f"cancelled {time.monotonic() - pressed:.2f} s after Esc, of which {ours:.2f} s are ours", flush=True)
         assert self.ended == "cancel" and ours < LONGEST_CANCEL_SECONDS
         assert not session._sessions
@@ -73,12 +74,14 @@ def note_the_time_of(owner: type, name: str, before: bool) -> None:
     """In moments, when a method was called first, or when it returned last."""
     method = getattr(owner, name)
 
-    def noted(*arguments) -> None:
+    def noted(*arguments):
         if before:
             moments.setdefault(name, time.monotonic())
-        method(*arguments)
-        if not before:
-            moments[name] = time.monotonic()
+        try:
+            return method(*arguments)
+        finally:
+            if not before:
+                moments[name] = time.monotonic()
 
     setattr(owner, name, noted)
 
@@ -91,7 +94,7 @@ def press_escape() -> None:
 
 def script() -> Iterator[float]:
     note_the_time_of(session.Session, "stop", before=True)  # the engine's answer to Esc
-    note_the_time_of(SVGFRenderEngine, "render", before=False)
+    note_the_time_of(SVGFRenderEngine, "_wait", before=False)
     scene = window().scene
     scene.render.engine, scene.svgf.device = "SVGF", "cpu"
     scene.render.resolution_x, scene.render.resolution_y = 320, 180

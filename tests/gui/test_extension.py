@@ -111,8 +111,7 @@ class Profile:
         return {
             path.relative_to(self.folder).as_posix()
             for path in self.folder.rglob("*")
-            if "svgf" in path.relative_to(self.folder).as_posix()
-            or (path.is_file() and b"svgf" in path.read_bytes())
+            if "svgf" in path.relative_to(self.folder).as_posix() or (path.is_file() and b"svgf" in path.read_bytes())
         }
 
 

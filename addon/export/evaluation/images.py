@@ -30,9 +30,10 @@ class Image:
     @cached_property
     def digest(self) -> bytes:
         """Of the content, whatever its name."""
-        how = (self.pixels.shape, self.pixels.dtype.str, self.srgb, self.interpolation, self.extension,
-               self.associated_alpha)
-        state = hashlib.sha1(repr(how).encode(), usedforsecurity=False)
+        layout = self.pixels.shape, self.pixels.dtype.str, self.srgb
+        state = hashlib.sha1(
+            repr((layout, self.interpolation, self.extension, self.associated_alpha)).encode(), usedforsecurity=False
+        )
         state.update(np.ascontiguousarray(self.pixels))
         return state.digest()
 

@@ -104,7 +104,7 @@ def _normalized(total: np.ndarray, highest: np.ndarray, normalize: bool) -> np.n
 def _multifractal(points, detail, roughness, lacunarity, offset, gain, normalize):
     value, power = np.float32(1), np.ones_like(roughness)
     for octave in range(_octaves(detail)):
-        value = value * np.where(_share(detail, octave) > 0, _share(detail, octave) * power * signed_noise(points) + 1, 1)
+        value = value * (_share(detail, octave) * power * signed_noise(points) + 1)
         power, points = power * roughness, points * lacunarity[:, None]
     return value
 

@@ -6,7 +6,9 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -43,12 +45,32 @@ public:
         });
     }
 
+    // See device/device.h.
+    template <class Stage>
+    void launch_tiles(const char* name, const Stage& stage) {
+        const int columns = stage.tile_columns(), rows = stage.tile_rows();
+        timed(name, size_t(columns) * rows, 1, [&](size_t begin, size_t end) {
+            const auto tile = std::make_unique<typename Stage::Tile>();
+            for (size_t t = begin; t < end; ++t) {
+                const int column = int(t % columns), row = int(t / columns);
+                for (int i = 0; i < stage.loads(); ++i) stage.load(*tile, column, row, i);
+                for (int y = 0; y < Stage::threads_y; ++y)
+                    for (int x = 0; x < Stage::threads_x; ++x) stage(*tile, column, row, x, y);
+            }
+        });
+    }
+
     template <class Stage>
     void launch(const char* name, int count, const Stage& stage) {
         timed(name, size_t(std::max(count, 0)), 4096, [&](size_t begin, size_t end) {
             for (size_t i = begin; i < end; ++i) stage(int(i));
         });
     }
+
+    // For the same source as on CUDA; there are no streams here.
+    struct StreamScope {
+        StreamScope(Device&, std::optional<uintptr_t>) {}
+    };
 
     // Milliseconds per name since the last call, in launch order.
     std::vector<std::pair<std::string, double>> take_timings() { return std::exchange(timings_, {}); }

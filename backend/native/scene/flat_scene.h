@@ -38,6 +38,7 @@ struct MeshView {
     const TrianglePositions* previous_positions = nullptr;  // null: as now
     std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
     std::int32_t triangle_count = 0;
+    Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
 };
 
 // Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
@@ -229,6 +230,7 @@ struct SceneView {
     const Material* materials = nullptr;
     const MaterialMap* material_maps = nullptr;
     const TextureView* textures = nullptr;
+    const float* albedo_tables = nullptr;  // of trace/microfacet.h
     LightsView lights;
     WorldView world;
 };

@@ -92,6 +92,12 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     });
     const Bvh bvh = build_bvh(boxes, max_leaf_size);
     bounds_ = bvh.bounds;
+    if (!bounds_.is_empty()) {
+        const Vec3 middle = (bounds_.low + bounds_.high) * 0.5f, width = bounds_.high - bounds_.low;
+        const auto inverse = [](float x) { return x > 0.0f ? 1.0f / x : 0.0f; };
+        view_.box_middle = {middle.x, middle.y};
+        view_.box_scale = {inverse(width.x), inverse(width.y)};
+    }
 
     const std::size_t count = bvh.primitives.size();
     std::vector<LeafTriangle> triangles(count);

@@ -15,6 +15,8 @@ namespace svgf {
 
 constexpr float background_depth = 1e10f;
 constexpr float largest_depth_gradient = 1e10f;
+// Numbers of the surfaces on one shadow ray.
+constexpr int shadow_surfaces = 1025;
 // Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
 constexpr float no_motion = 1e6f;
 
@@ -32,6 +34,23 @@ SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler
     return camera.ray(point);
 }
 
+// What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
+// neither.
+template <Effects kernel>
+SVGF_HD float surface_choice(const Sampler& sampler, int vertex) {
+    if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
+        return sampler.pair(SamplePair::surface, vertex).x;
+    return 0.0f;
+}
+
+// The same at surface number i on the shadow ray of a vertex: parts of mixes are chosen for each on its own.
+template <Effects kernel>
+SVGF_HD float shadow_choice(const Sampler& sampler, int vertex, int i) {
+    if constexpr (covers(kernel, Effects::material_mixes))
+        return sampler.pair(SamplePair::shadow, vertex * shadow_surfaces + i).x;
+    return 0.0f;
+}
+
 template <Effects kernel>
 struct GbufferStage {
     // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
@@ -42,6 +61,7 @@ struct GbufferStage {
     std::uint32_t sample, seed;
     bool box_filter;
     bool camera_moves;
+    int transparent_bounces;
 
     Hit* out_hit;
     Vec3* out_normal;          // world, on the viewer's side; 0 on the background
@@ -58,20 +78,24 @@ struct GbufferStage {
         const int i = y * camera.width + x;
         const Sampler sampler(x, y, camera.width, seed, sample);
         const Vec2 point = pixel_point(x, y, sampler, box_filter);
-        const Ray ray = primary_ray<kernel>(camera, point, sampler);
-        const Hit hit = find_closest_hit(scene, ray);
+        Ray ray = primary_ray<kernel>(camera, point, sampler);
+        Hit hit = find_closest_hit(scene, ray);
         out_hit[i] = hit;
-        if (!hit.found()) {
-            // Infinitely far: only the camera's rotation moves it.
-            Vec3 motion;
-            if (camera_moves)
-                motion = find_motion(camera.project_direction(ray.direction),
-                                     previous_camera.project_direction(ray.direction));
-            write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
-            return;
+        if (!hit.found()) return write_background(i, ray.direction);
+        const Vec3 view = -normalize(ray.direction);
+        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
+        Vec3 tint{1, 1, 1};
+        if constexpr (covers(kernel, Effects::alpha)) {
+            // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
+            for (int vertex = 1; max_component(surface.straight) > 0.0f && vertex <= transparent_bounces; ++vertex) {
+                tint *= surface.straight;
+                ray.t_min = hit.t;
+                hit = find_closest_hit(scene, ray);
+                if (!hit.found()) return write_background(i, ray.direction);
+                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex));
+            }
         }
-        const Surface surface = find_surface(scene, hit);
-        const Bsdf<kernel> bsdf(surface, -normalize(ray.direction));
+        const Bsdf<kernel> bsdf(scene, surface, view);
         const ImagePoint now = camera.project(surface.position);
         // What stands still moves by exactly 0, whatever two projections would round it to.
         Vec3 motion;
@@ -79,10 +103,18 @@ struct GbufferStage {
             motion = find_motion(now, previous_camera.project(find_previous_position(scene, hit)));
         write(i, bsdf.normal, now.depth, bounded(camera.depth_gradient(point, now.depth, bsdf.geometric_normal)),
               scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
-              bsdf.diffuse_albedo, bsdf.specular_albedo, motion);
+              bsdf.diffuse_albedo * tint, bsdf.specular_albedo * tint, motion);
     }
 
 private:
+    // Infinitely far: only the camera's rotation moves it.
+    SVGF_HD void write_background(int i, Vec3 direction) const {
+        Vec3 motion;
+        if (camera_moves)
+            motion = find_motion(camera.project_direction(direction), previous_camera.project_direction(direction));
+        write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
+    }
+
     SVGF_HD static Vec3 find_motion(ImagePoint now, ImagePoint before) {
         const Vec3 motion{before.point.x - now.point.x, before.point.y - now.point.y, before.depth - now.depth};
         return before.depth > 0.0f && is_finite(motion) ? motion : Vec3{no_motion, no_motion, 0.0f};

@@ -13,12 +13,22 @@
 
 namespace svgf {
 
-// Cosine of max(0, a - b) for angles a, b in [0, pi], given their cosines and sines.
-SVGF_HD inline float cos_of_difference(float cos_a, float sin_a, float cos_b, float sin_b) {
-    return cos_a > cos_b ? 1.0f : cos_a * cos_b + sin_a * sin_b;
+// An angle in [0, pi]. By both functions, as the cosine of a small angle has few digits left.
+struct Angle {
+    float cosine, sine;
+};
+
+SVGF_HD inline Angle angle_between(Vec3 a, Vec3 b) { return {dot(a, b), length(cross(a, b))}; }
+
+SVGF_HD inline Angle angle_of(float cosine) {
+    return {cosine, std::sqrt(max(0.0f, (1.0f - cosine) * (1.0f + cosine)))};
 }
 
-SVGF_HD inline float sine_of(float cosine) { return std::sqrt(max(0.0f, 1.0f - cosine * cosine)); }
+// max(0, a - b)
+SVGF_HD inline Angle operator-(Angle a, Angle b) {
+    if (a.cosine > b.cosine) return {1.0f, 0.0f};
+    return {a.cosine * b.cosine + a.sine * b.sine, a.sine * b.cosine - a.cosine * b.sine};
+}
 
 // A bound of what the lights of a node contribute at a point, up to a factor [Conty18, Eq. 3]. normal: of the
 // receiver, both of whose sides may be lit. Where it is 0, nothing arrives.
@@ -26,22 +36,19 @@ SVGF_HD inline float light_importance(const LightNode& node, Vec3 point, Vec3 no
     const Vec3 extent = (node.high - node.low) * 0.5f;
     const Vec3 from_point = node.low + extent - point;
     const float distance_squared = dot(from_point, from_point), radius_squared = dot(extent, extent);
-    const float power = std::fabs(node.power);
     // Close to the box its lights are as good as anywhere in it.
-    const float falloff = power / max(max(distance_squared, radius_squared), 1e-30f);
+    const float falloff = std::fabs(node.power) / max(max(distance_squared, radius_squared), 1e-30f);
     if (distance_squared <= radius_squared) return falloff;
     const Vec3 direction = from_point / std::sqrt(distance_squared);
-    // Half the angle under which the box is seen is at most this. Widened a little, for the roundings.
+    // The box is seen under at most twice this angle; a little more, for the roundings.
     const float sin_box = min(1.0f, std::sqrt(radius_squared / distance_squared) * 1.001f + 1e-3f);
-    const float cos_box = sine_of(sin_box);
-
-    const float towards = dot(node.axis, direction);
-    const float cos_axis = node.power < 0.0f ? std::fabs(towards) : -towards;
-    const float cos_normal = cos_of_difference(cos_axis, sine_of(cos_axis), node.cos_normals, sine_of(node.cos_normals));
-    const float cos_light = cos_of_difference(cos_normal, sine_of(cos_normal), cos_box, sin_box);
+    const Angle box{std::sqrt((1.0f - sin_box) * (1.0f + sin_box)), sin_box};
+    Angle axis = angle_between(node.axis, -direction), receiver = angle_between(normal, direction);
+    if (node.power < 0.0f) axis.cosine = std::fabs(axis.cosine);
+    receiver.cosine = std::fabs(receiver.cosine);
+    const float cos_light = (axis - angle_of(node.cos_normals) - box).cosine;
     if (!(cos_light > node.cos_emission)) return 0.0f;
-    const float cos_receiver = std::fabs(dot(normal, direction));
-    return falloff * max(cos_light, 0.0f) * cos_of_difference(cos_receiver, sine_of(cos_receiver), cos_box, sin_box);
+    return falloff * max(cos_light, 0.0f) * (receiver - box).cosine;
 }
 
 // Walks to the leaf that u chooses, or to `leaf` where that is >= 0, and sets it. Returns the probability of getting

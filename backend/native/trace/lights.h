@@ -99,7 +99,7 @@ SVGF_HD inline float spot_attenuation(const Light& light, Vec3 direction) {
 // the angle, > 0. As Cycles has it: max(0, tan(half spread) - tan(angle)), normalized.
 SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
     if (!(light.spot_scale > 0.0f)) return 1.0f;
-    const float tangent = sine_of(cosine) / cosine;
+    const float tangent = std::sqrt((1.0f - cosine) * (1.0f + cosine)) / cosine;
     return max(0.0f, light.cos_half_spot - tangent) * light.spot_scale;
 }
 

@@ -56,6 +56,7 @@ struct PathStage {
 
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
+    static constexpr bool has_alpha = covers(kernel, Effects::alpha);
 
     struct Gathered {
         Vec3 emission, first, second;
@@ -71,6 +72,7 @@ private:
         float smallest_pdf = infinity;  // of those so far
         std::uint32_t kind = ray_kind::camera;
         int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
+        int transparent_bounces = 0;  // these are not among the bounces
         bool delta = true;
         bool ends = false;  // the ray only looks for light
     };
@@ -82,8 +84,18 @@ private:
             if (vertex == 0) scale_to_unit(ray, hit);
             if (scene.lights.sized_lamps_seen_by & path.kind) add_lamps(path, ray, hit, light);
             if (!hit.found()) return add_world(path, ray, light);
-            Surface surface = find_surface(scene, hit);
-            if (max_component(surface.material.emission) > 0.0f) add_emission(path, surface, ray, hit, light);
+            Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
+            if (max_component(surface.emission) > 0.0f) add_emission(path, surface, ray, hit, light);
+            if constexpr (has_alpha) {
+                if (path.transparent_bounces > limits.transparent_bounces) return;
+                if (max_component(surface.straight) > 0.0f) {
+                    // The same ray goes on, so that what it finds has the density with which it was sampled.
+                    ++path.transparent_bounces;
+                    path.throughput *= surface.straight;
+                    ray.t_min = hit.t;
+                    continue;
+                }
+            }
             if (path.ends) return;
 
             const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
@@ -93,17 +105,18 @@ private:
                 path.throughput = path.throughput / survival;
             }
             if constexpr (has_limits) simplify(path, surface.material);
-            const Bsdf<kernel> bsdf(surface, -ray.direction);
+            const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
             if (scene.lights.interval_count > 0) add_direct_light(sampler, path, surface, bsdf, vertex, light);
 
             BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
-            if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.kind == ray_kind::transmission);
+            if constexpr (has_limits)
+                keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
             if (path.bounces == 0) path.diffuse_share = share_of(next.weight);
             path.throughput *= next.weight.total();
             if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return;
             count_bounce(path, next);
             path.normal = bsdf.normal;
-            ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, next.kind};
+            ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, path.kind};
         }
     }
 
@@ -120,17 +133,23 @@ private:
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
         path.pdf = next.weight.pdf;
         path.delta = next.delta;
-        path.kind = next.kind;
+        path.kind = kind_of(next.event);
         path.ends = ++path.bounces > limits.bounces;
         if constexpr (has_limits) {
             if (!next.delta) path.smallest_pdf = min(path.smallest_pdf, next.weight.pdf);
-            if (next.kind == ray_kind::diffuse)
+            if (next.event == BsdfEvent::diffuse)
                 path.ends |= ++path.diffuse_bounces > limits.diffuse_bounces;
-            else if (next.kind == ray_kind::glossy)
+            else if (next.event == BsdfEvent::glossy)
                 path.ends |= ++path.glossy_bounces > limits.glossy_bounces;
             else
                 path.ends |= ++path.transmission_bounces > limits.transmission_bounces;
         }
+    }
+
+    SVGF_HD static std::uint32_t kind_of(BsdfEvent event) {
+        return event == BsdfEvent::diffuse  ? ray_kind::diffuse
+               : event == BsdfEvent::glossy ? ray_kind::glossy
+                                            : ray_kind::transmission;
     }
 
     // What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow.
@@ -222,7 +241,7 @@ private:
 
     SVGF_HD void add_emission(const Path& path, const Surface& surface, const Ray& ray, const Hit& hit,
                               Gathered& light) const {
-        add_found(light, path, surface.material.emission, [&] {
+        add_found(light, path, surface.emission, [&] {
             const Light* row = find_light(scene, hit);
             if (!row) return 0.0f;
             const float cosine = dot(surface.geometric_normal, ray.direction);
@@ -244,11 +263,36 @@ private:
         if constexpr (has_limits || covers(kernel, Effects::ray_visibility))
             keep(value, row.visibility & allowed_kinds(path), dot(bsdf.geometric_normal, found.direction) < 0.0f);
         const float mis = found.delta ? 1.0f : power_heuristic(found.pdf, value.pdf);
-        const Vec3 arriving = path.throughput * value.total() * found.radiance * (mis / found.pdf);
+        Vec3 arriving = path.throughput * value.total() * found.radiance * (mis / found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
-        const Vec3 origin = offset_from_surface(surface, found.direction);
-        if (is_occluded(scene, {origin, found.direction, 0.0f, found.distance * shadow_ray_end, ray_kind::shadow})) return;
+        Ray ray{offset_from_surface(surface, found.direction), found.direction, 0.0f, infinity, ray_kind::shadow};
+        if (found.distance < infinity) {
+            // To the very point: beside it, a light that is seen at an angle would shadow itself.
+            ray.direction = surface.position - ray.origin + found.direction * found.distance;
+            ray.t_max = shadow_ray_end;
+        }
+        if constexpr (has_alpha) {
+            arriving *= shadow_transmittance(sampler, vertex, ray, limits.transparent_bounces - path.transparent_bounces);
+            if (!(max_component(arriving) > 0.0f)) return;
+        } else if (is_occluded(scene, ray)) {
+            return;
+        }
         add(light, arriving, path.bounces == 0 ? share_of(value) : path.diffuse_share, path.bounces + 1);
+    }
+
+    // What is left of light that goes straight on to the end of a shadow ray, through at most so many surfaces.
+    SVGF_HD Vec3 shadow_transmittance(const Sampler& sampler, int vertex, Ray ray, int surfaces) const {
+        const Vec3 view = -normalize(ray.direction);
+        Vec3 left{1, 1, 1};
+        for (int i = 0; i <= surfaces; ++i) {
+            const Hit hit = find_closest_hit(scene, ray);
+            if (!hit.found()) return left;
+            if (i == surfaces) break;
+            left *= find_transmittance<kernel>(scene, hit, view, shadow_choice<kernel>(sampler, vertex, i));
+            if (!(max_component(left) > 0.0f)) break;
+            ray.t_min = hit.t;
+        }
+        return {};
     }
 
     template <class Value>

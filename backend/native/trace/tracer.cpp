@@ -259,6 +259,12 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
     scene_.textures = texture_views_.data();
 }
 
+void Tracer::set_albedo_tables(std::span<const float> tables) {
+    expect(tables.size() == std::size_t(albedo_table_size), "The tables of albedos have another size.");
+    albedo_tables_ = Buffer<float>(device_, tables, "tables of albedos");
+    scene_.albedo_tables = albedo_tables_.data();
+}
+
 void Tracer::set_lights(const Lights& arrays) {
     const std::size_t count = arrays.kind.size();
     expect(arrays.data.size() == 24 * count && arrays.probability.size() == count &&
@@ -377,6 +383,7 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
            "A light or the world names a texture that is not there.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
+    expect(scene_.albedo_tables, "There are no tables of albedos yet.");
     return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 
@@ -411,6 +418,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .seed = frame.seed,
         .box_filter = box_filter,
         .camera_moves = covers(Effects(frame.effects), Effects::camera_motion),
+        .transparent_bounces = frame.light_paths.transparent_bounces,
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),

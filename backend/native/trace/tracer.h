@@ -101,6 +101,7 @@ public:
     // [M, 48] and [K, 12]
     void set_materials(std::span<const float> materials, std::span<const float> material_maps,
                        std::vector<std::shared_ptr<Texture>> textures);
+    void set_albedo_tables(std::span<const float> tables);  // of trace/microfacet.h
     void set_lights(const Lights& arrays);
     void set_world(const World& arrays);
     void set_camera(const Cameras& arrays);
@@ -127,6 +128,7 @@ private:
     Buffer<Material> materials_;
     Buffer<MaterialMap> material_maps_;
     Buffer<TextureView> texture_views_;
+    Buffer<float> albedo_tables_;
     Buffer<Light> lights_;
     Buffer<float> light_cdf_;
     Buffer<LightNode> light_tree_;

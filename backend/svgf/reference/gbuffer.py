@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
 import numpy as np
 
+from ..scene import RayVisibility
 from .camera import Camera
 from .intersect import Hits
 from .surface import SceneView, surface_at
@@ -16,11 +20,29 @@ LARGEST_GRADIENT = 1e10
 NO_MOTION = 1e6
 
 
+@dataclass
+class PrimaryRays:
+    """point: [n, 2] image points. origin, direction: [n, 3], of planar depth 1. far: planar depth where they end. choice:
+    of a vertex, random numbers [n, 2] of which the first is that of surface_at."""
+
+    point: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    far: float
+    choice: Callable[[int], np.ndarray]
+
+
 def trace_gbuffer(
-    scene: SceneView, camera: Camera, previous_camera: Camera, point: np.ndarray, direction: np.ndarray, hits: Hits
+    scene: SceneView,
+    camera: Camera,
+    previous_camera: Camera,
+    rays: PrimaryRays,
+    hits: Hits,
+    transparent_bounces: int,
 ) -> dict[str, np.ndarray]:
-    """point: [n, 2] image points, direction: [n, 3] of planar depth 1, hits: of these rays. Returns images as rows of
-    pixels."""
+    """hits: of the rays. Returns images as rows of pixels."""
+    point, direction = rays.point, rays.direction
+    hits, choice, tint = _see_through(scene, rays, hits, transparent_bounces)
     count = len(point)
     images = {
         "normal": np.zeros((count, 3)),
@@ -34,8 +56,9 @@ def trace_gbuffer(
         "motion": np.zeros((count, 3)),
     }
     found = np.flatnonzero(hits.found)
-    surface = surface_at(scene, hits, found)
-    bsdf = surface.bsdf(-normalize(direction[found]))
+    view = -normalize(direction[found])
+    surface = surface_at(scene, hits, found, view, choice[found])
+    bsdf = surface.bsdf(view)
     depth = camera.depth(surface.position)
     images["normal"][found] = bsdf.normal
     images["depth"][found] = depth
@@ -44,8 +67,8 @@ def trace_gbuffer(
     images["object_id"][found] = surface.object_id
     images["material_id"][found] = surface.material + 1
     images["roughness"][found] = bsdf.roughness
-    images["diffuse_albedo"][found] = bsdf.diffuse_albedo
-    images["specular_albedo"][found] = bsdf.specular_albedo
+    images["diffuse_albedo"][found] = bsdf.diffuse_albedo * tint[found]
+    images["specular_albedo"][found] = bsdf.specular_albedo * tint[found]
 
     # The background is infinitely far: only the camera's rotation moves it, and parallel rays all see the same of it.
     seen_before, now = direction.copy(), point.copy()
@@ -68,6 +91,31 @@ def trace_gbuffer(
         still[found] = (surface.previous_position == surface.position).all(axis=1)
         images["motion"][still] = 0.0
     return images
+
+
+def _see_through(
+    scene: SceneView, rays: PrimaryRays, hits: Hits, transparent_bounces: int
+) -> tuple[Hits, np.ndarray, np.ndarray]:
+    """The hits that rays see, past those that let them go straight on; their choice [n], and what the ones before
+    multiply light by, [n, 3]."""
+    hits = replace(hits, **{field.name: getattr(hits, field.name).copy() for field in fields(hits)})
+    choice, tint = rays.choice(0)[:, 0], np.ones((len(hits.t), 3))
+    rows = np.flatnonzero(hits.found)
+    for vertex in range(1, transparent_bounces + 1):
+        view = -normalize(rays.direction[rows])
+        straight = surface_at(scene, hits, rows, view, choice[rows]).straight if len(rows) else np.zeros((0, 3))
+        passes = straight.max(axis=1, initial=0.0) > 0.0
+        rows, straight = rows[passes], straight[passes]
+        if not len(rows):
+            break
+        tint[rows] *= straight
+        far, kind = np.full(len(rows), rays.far), np.full(len(rows), int(RayVisibility.CAMERA))
+        behind = scene.shapes.closest(rays.origin[rows], rays.direction[rows], hits.t[rows], far, kind)
+        for field in fields(hits):
+            getattr(hits, field.name)[rows] = getattr(behind, field.name)
+        choice[rows] = rays.choice(vertex)[rows, 0]
+        rows = rows[behind.found]
+    return hits, choice, tint
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -11,9 +11,13 @@ from .vec import dot
 LEVELS_OF_FIRST = 8
 
 
-def _cos_of_difference(cos_a, sin_a, cos_b, sin_b) -> np.ndarray:
-    """Cosine of max(0, a - b) for angles in [0, pi]."""
-    return np.where(cos_a > cos_b, 1.0, cos_a * cos_b + sin_a * sin_b)
+def _difference(cos_a, sin_a, cos_b, sin_b) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine and sine of max(0, a - b) for angles in [0, pi]."""
+    smaller = cos_a > cos_b
+    return (
+        np.where(smaller, 1.0, cos_a * cos_b + sin_a * sin_b),
+        np.where(smaller, 0.0, sin_a * cos_b - cos_a * sin_b),
+    )
 
 
 def _sine(cosine) -> np.ndarray:
@@ -35,10 +39,10 @@ def light_importance(node: np.ndarray, point: np.ndarray, normal: np.ndarray) ->
     cos_box = _sine(sin_box)
     towards = dot(axis, direction)
     cos_axis = np.where(power < 0.0, np.abs(towards), -towards)
-    cos_normal = _cos_of_difference(cos_axis, _sine(cos_axis), cos_normals, _sine(cos_normals))
-    cos_light = _cos_of_difference(cos_normal, _sine(cos_normal), cos_box, sin_box)
+    from_normals = _difference(cos_axis, _sine(cos_axis), cos_normals, _sine(cos_normals))
+    cos_light, _ = _difference(*from_normals, cos_box, sin_box)
     cos_receiver = np.abs(dot(normal, direction))
-    receiver = _cos_of_difference(cos_receiver, _sine(cos_receiver), cos_box, sin_box)
+    receiver, _ = _difference(cos_receiver, _sine(cos_receiver), cos_box, sin_box)
     seen = np.where(cos_light > cos_emission, falloff * np.maximum(cos_light, 0.0) * receiver, 0.0)
     return np.where(distance_squared <= radius_squared, falloff, seen)
 

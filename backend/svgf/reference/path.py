@@ -16,11 +16,22 @@ from ..light_paths import LightPaths
 from ..scene import RayVisibility
 from .bsdf import Bsdf, evaluate, sample
 from .intersect import SHADOW_END, Hits, offset_origin
-from .sampling import direction_pair, light_choice_pair, light_point_pair, lobe_pair, power_heuristic, random_pair
-from .surface import SceneView, Surface, surface_at
+from .sampling import (
+    direction_pair,
+    light_choice_pair,
+    light_point_pair,
+    lobe_pair,
+    power_heuristic,
+    random_pair,
+    shadow_pair,
+    surface_pair,
+)
+from .surface import SceneView, Surface, surface_at, transmittance_at
 from .vec import normalize
 
 ROULETTE_START = 3
+# Numbers of the surfaces on one shadow ray.
+SHADOW_SURFACES = 1025
 
 _KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)
 
@@ -30,7 +41,7 @@ class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
     that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
     signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray only
-    looks for light. t_min: [n], where the ray starts to look."""
+    looks for light. transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
@@ -44,7 +55,9 @@ class Paths:
     kind: np.ndarray
     bounces: np.ndarray
     ends: np.ndarray
+    transparent_bounces: np.ndarray
     t_min: np.ndarray
+    t_max: np.ndarray
 
     def rows(self, chosen: np.ndarray) -> Paths:
         return Paths(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
@@ -65,13 +78,17 @@ class Signals:
         if transparent_film:
             self.images["alpha"] = np.zeros(count)
 
-    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: int) -> None:
-        """bounces: between the camera and the light. share: see Paths."""
+    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: np.ndarray) -> None:
+        """bounces: [n], between the camera and the light. share: see Paths."""
         value = np.where(np.isfinite(value), value, 0.0)
-        limit = 3.0 * (self._limits.clamp_indirect if bounces > 1 else self._limits.clamp_direct)
-        if limit > 0.0:
-            with np.errstate(divide="ignore"):
-                value = value * np.minimum(1.0, limit / value.sum(axis=1))[:, None]
+        limit = 3.0 * np.where(bounces > 1, self._limits.clamp_indirect, self._limits.clamp_direct)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = value * np.where(limit > 0.0, np.fmin(1.0, limit / value.sum(axis=1)), 1.0)[:, None]
+        for number in np.unique(np.minimum(bounces, 2)):
+            chosen = np.minimum(bounces, 2) == number
+            self._add(pixel[chosen], value[chosen], share[chosen], number)
+
+    def _add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: int) -> None:
         if bounces == 0:
             self.images["emission"][pixel] += value
         elif self._first == "direct":
@@ -92,11 +109,11 @@ def trace_paths(
     limits: LightPaths,
     origin: np.ndarray,
     direction: np.ndarray,
-    near: float,
+    clip: np.ndarray,
     hits: Hits,
 ) -> None:
     """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction, hits: the primary rays, of
-    planar depth 1, which start at planar depth near, and what they hit."""
+    planar depth 1, clip: [2], planar depths between which they look, and what they hit."""
     count = len(direction)
     length = np.sqrt((direction**2).sum(axis=1))
     hits.t = hits.t * length
@@ -113,59 +130,91 @@ def trace_paths(
         kind=np.full(count, int(RayVisibility.CAMERA)),
         bounces=np.zeros((count, 3), dtype=np.int64),
         ends=np.zeros(count, dtype=bool),
-        t_min=near * length,
+        transparent_bounces=np.zeros(count, dtype=np.int64),
+        t_min=clip[0] * length,
+        t_max=clip[1] * length,
     )
     if signals.transparent_film:
         signals.images["alpha"] += 1.0
-    for vertex in range(bounces + 2):
+    vertex = 0
+    while len(paths.pixel):
         if vertex:
-            far = np.full(len(paths.pixel), np.inf)
-            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, far, paths.kind)
-        _add_lamps(scene, signals, paths, hits, vertex)
-        _add_world(scene, signals, paths.rows(~hits.found), vertex)
+            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, paths.t_max, paths.kind)
+        _add_lamps(scene, signals, paths, hits)
+        _add_world(scene, signals, paths.rows(~hits.found))
         found = np.flatnonzero(hits.found)
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
             return
-        surface = surface_at(scene, hits, found)
-        _add_emission(scene, signals, paths, surface, t, vertex)
+        choice = random_pair(keys[paths.pixel], surface_pair(vertex), sample_number)[:, 0]
+        surface = surface_at(scene, hits, found, -paths.direction, choice)
+        _add_emission(scene, signals, paths, surface, t)
 
+        # What goes straight on keeps its ray, so that what it finds has the density with which it was sampled.
+        goes_on = paths.transparent_bounces <= limits.transparent_bounces
+        is_straight = surface.straight.max(axis=1, initial=0.0) > 0.0
+        straight = paths.rows(goes_on & is_straight)
+        straight.throughput = straight.throughput * surface.straight[goes_on & is_straight]
+        straight.t_min = t[goes_on & is_straight]
+        straight.transparent_bounces = straight.transparent_bounces + 1
+
+        number = paths.bounces.sum(axis=1)
         lobe_and_roulette = random_pair(keys[paths.pixel], lobe_pair(vertex), sample_number)
-        survival = np.minimum(1.0, paths.throughput.max(axis=1)) if vertex >= ROULETTE_START else np.ones(len(found))
-        alive = ~paths.ends & (lobe_and_roulette[:, 1] < survival)
+        survival = np.where(number >= ROULETTE_START, np.minimum(1.0, paths.throughput.max(axis=1)), 1.0)
+        alive = goes_on & ~is_straight & ~paths.ends & (lobe_and_roulette[:, 1] < survival)
         _simplify(surface, paths, limits)
-        bsdf = surface.bsdf(-paths.direction).rows(alive)
-        paths, lobe_and_roulette = paths.rows(alive), lobe_and_roulette[alive]
-        position, magnitude = surface.position[alive], surface.magnitude[alive]
+        surface, paths, lobe_and_roulette = surface.chosen(alive), paths.rows(alive), lobe_and_roulette[alive]
         paths.throughput = paths.throughput / survival[alive][:, None]
-        if not len(paths.pixel):
-            return
-
-        allowed = _allowed_kinds(paths, limits)
-        if scene.lights.intervals:
-            light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
-            light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
-            _add_direct_light(
-                scene, signals, paths, bsdf, position, magnitude, allowed, light_choice, light_point, vertex
+        if len(paths.pixel):
+            paths = _scatter(
+                scene, signals, keys, sample_number, bounces, limits, paths, surface, lobe_and_roulette, vertex
             )
+        paths = Paths(**{
+            field.name: np.concatenate([getattr(paths, field.name), getattr(straight, field.name)])
+            for field in fields(Paths)
+        })  # fmt: skip
+        vertex += 1
 
-        next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
-        found = sample(bsdf, next_direction, lobe_and_roulette[:, 0])
-        below = found.kind == RayVisibility.TRANSMISSION
-        diffuse, specular = _kept(found.diffuse, found.specular, allowed, below)
-        value = diffuse + specular
-        if vertex == 0:
-            paths.share = _share(diffuse, value)
-        paths.throughput = paths.throughput * value
-        paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, found.kind
-        paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
-        paths.normal = bsdf.normal
-        paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
-        paths.t_min = np.zeros(len(position))
-        paths.bounces = paths.bounces + (found.kind[:, None] == np.array(_KINDS))
-        of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
-        paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (vertex + 1 > bounces)
-        paths = paths.rows(paths.throughput.max(axis=1) > 0.0)
+
+def _scatter(
+    scene: SceneView,
+    signals: Signals,
+    keys: np.ndarray,
+    sample_number: int,
+    bounces: int,
+    limits: LightPaths,
+    paths: Paths,
+    surface: Surface,
+    lobe_and_roulette: np.ndarray,
+    vertex: int,
+) -> Paths:
+    """Light that is sampled at surfaces, and the paths that leave them."""
+    position, magnitude = surface.position, surface.magnitude
+    bsdf = surface.bsdf(-paths.direction)
+    allowed = _allowed_kinds(paths, limits)
+    if scene.lights.intervals:
+        _add_direct_light(
+            scene, signals, keys, sample_number, limits, paths, bsdf, position, magnitude, allowed, vertex
+        )
+
+    next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
+    found = sample(bsdf, next_direction, lobe_and_roulette[:, 0])
+    kind = np.array([0, *map(int, _KINDS)])[found.event]
+    diffuse, specular = _kept(found.diffuse, found.specular, allowed, kind == RayVisibility.TRANSMISSION)
+    value = diffuse + specular
+    first = paths.bounces.sum(axis=1) == 0
+    paths.share = np.where(first[:, None], _share(diffuse, value), paths.share)
+    paths.throughput = paths.throughput * value
+    paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, kind
+    paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
+    paths.normal = bsdf.normal
+    paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
+    paths.t_min = np.zeros(len(position))
+    paths.t_max = np.full(len(position), np.inf)
+    paths.bounces = paths.bounces + (kind[:, None] == np.array(_KINDS))
+    of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
+    paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (paths.bounces.sum(axis=1) > bounces)
+    return paths.rows(paths.throughput.max(axis=1) > 0.0)
 
 
 def _simplify(surface: Surface, paths: Paths, limits: LightPaths) -> None:
@@ -210,7 +259,7 @@ def _hit_weight(paths: Paths, light_pdf: np.ndarray) -> np.ndarray:
     return np.where(paths.delta, 1.0, power_heuristic(paths.pdf, light_pdf))[:, None]
 
 
-def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits, vertex: int) -> None:
+def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits) -> None:
     """Lamps stop no ray: all that are crossed before the hit shine."""
     lights = scene.lights
     for light, rows, radiance, pdf in lights.crossed_lamps(paths.origin, paths.direction, hits.t, paths.t_min):
@@ -218,44 +267,46 @@ def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits, ver
         crossing, radiance, pdf = paths.rows(rows[sees]), radiance[sees], pdf[sees]
         pdf = pdf * lights.choice_probability(np.full(len(pdf), light), crossing.origin, crossing.normal)
         value = crossing.throughput * radiance * _hit_weight(crossing, pdf)
-        signals.add(crossing.pixel, value, crossing.share, vertex)
+        signals.add(crossing.pixel, value, crossing.share, crossing.bounces.sum(axis=1))
 
 
-def _add_world(scene: SceneView, signals: Signals, paths: Paths, vertex: int) -> None:
-    if vertex == 0 and signals.transparent_film:
-        signals.images["alpha"][paths.pixel] -= paths.throughput.mean(axis=1)
-        return
+def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
+    if signals.transparent_film:
+        seen = paths.kind == RayVisibility.CAMERA
+        signals.images["alpha"][paths.pixel[seen]] -= paths.throughput[seen].mean(axis=1)
+        paths = paths.rows(~seen)
     paths = paths.rows(paths.kind & scene.world.visibility != 0)
     pdf = np.zeros(len(paths.pixel))
     if scene.world.light >= 0:
         pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
     value = paths.throughput * scene.world.radiance(paths.direction) * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, vertex)
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
 
 
-def _add_emission(
-    scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray, vertex: int
-) -> None:
+def _add_emission(scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray) -> None:
     cosine = np.einsum("ni,ni->n", surface.geometric_normal, paths.direction)
     pdf = scene.lights.triangle_pdf(surface.light, t, cosine)
     lit = np.flatnonzero((surface.light >= 0) & ~paths.delta)
     pdf[lit] *= scene.lights.choice_probability(surface.light[lit], paths.origin[lit], paths.normal[lit])
     value = paths.throughput * surface.emission * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, vertex)
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
 
 
 def _add_direct_light(
     scene: SceneView,
     signals: Signals,
+    keys: np.ndarray,
+    sample_number: int,
+    limits: LightPaths,
     paths: Paths,
     bsdf: Bsdf,
     position: np.ndarray,
     magnitude: np.ndarray,
     allowed: np.ndarray,
-    light_choice: np.ndarray,
-    light_point: np.ndarray,
     vertex: int,
 ) -> None:
+    light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
+    light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
     index, probability = scene.lights.choose(light_choice, position, bsdf.normal)
     light = scene.lights.sample(index, probability, position, light_point)
     diffuse, specular, pdf = evaluate(bsdf, light.direction)
@@ -268,6 +319,46 @@ def _add_direct_light(
     lit = np.flatnonzero((light.pdf > 0.0) & (value > 0.0).any(axis=1))
     direction = light.direction[lit]
     origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
-    lit = lit[~scene.shapes.occluded(origin, direction, light.distance[lit] * SHADOW_END)]
-    share = _share(diffuse, total) if vertex == 0 else paths.share
-    signals.add(paths.pixel[lit], value[lit], share[lit], vertex + 1)
+    surfaces = limits.transparent_bounces - paths.transparent_bounces[lit]
+    value[lit] *= _shadow_transmittance(
+        scene,
+        keys[paths.pixel[lit]],
+        sample_number,
+        vertex,
+        origin,
+        direction,
+        light.distance[lit] * SHADOW_END,
+        surfaces,
+    )
+    number = paths.bounces.sum(axis=1)[lit]
+    share = np.where((number == 0)[:, None], _share(diffuse[lit], total[lit]), paths.share[lit])
+    signals.add(paths.pixel[lit], value[lit], share, number + 1)
+
+
+def _shadow_transmittance(
+    scene: SceneView,
+    keys: np.ndarray,
+    sample_number: int,
+    vertex: int,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    t_max: np.ndarray,
+    surfaces: np.ndarray,
+) -> np.ndarray:
+    """What is left, [n, 3], of light that goes straight on to the end of shadow rays, through at most so many surfaces
+    [n]."""
+    left = np.ones((len(origin), 3))
+    t_min, rows = np.zeros(len(origin)), np.arange(len(origin))
+    number = 0
+    while len(rows):
+        kind = np.full(len(rows), int(RayVisibility.SHADOW))
+        hits = scene.shapes.closest(origin[rows], direction[rows], t_min[rows], t_max[rows], kind)
+        found = np.flatnonzero(hits.found)
+        rows, t = rows[found], hits.t[found]
+        choice = random_pair(keys[rows], shadow_pair(vertex * SHADOW_SURFACES + number), sample_number)[:, 0]
+        passed = transmittance_at(scene, hits, found, -direction[rows], choice) if len(rows) else np.zeros((0, 3))
+        left[rows] *= np.where((number < surfaces[rows])[:, None], passed, 0.0)
+        t_min[rows] = t
+        rows = rows[left[rows].max(axis=1, initial=0.0) > 0.0]
+        number += 1
+    return left

@@ -11,11 +11,11 @@ from ..scene import RayVisibility
 from .camera import Camera, pixel_centers
 from .device import Device
 from .environment import World
-from .gbuffer import trace_gbuffer
+from .gbuffer import PrimaryRays, trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
+from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair, surface_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -63,6 +63,9 @@ class Tracer:
         self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 48)
         self._material_maps = np.asarray(material_maps, dtype=np.float64).reshape(-1, 12)
         self._textures = list(textures)
+
+    def set_albedo_tables(self, tables) -> None:
+        """They are those of svgf.albedo in any case."""
 
     def set_lights(self, **columns) -> None:
         self._lights = Lights(**columns)
@@ -119,9 +122,12 @@ class Tracer:
                 origin, direction = camera.rays(point, random_pair(keys, LENS_PAIR, number))
                 hits = self._primary_hits(origin, direction, clip)
                 if not images:
-                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits)
+                    primary = PrimaryRays(
+                        point, origin, direction, clip[1], lambda vertex: random_pair(keys, surface_pair(vertex), number)
+                    )
+                    images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, clip[0], hits)
+                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, clip, hits)
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
 
