@@ -288,6 +288,21 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
     return result;
 }
 
+nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
+    if (rays.ndim() != 3 || rays.shape(2) != 8) throw InputError("Rays must be [H, W, 8].");
+    const int height = int(rays.shape(0)), width = int(rays.shape(1));
+    std::vector<Image> images;
+    {
+        nb::gil_scoped_release release;
+        images = tracer.cast(span_of(rays), width, height, any_hit);
+    }
+    nb::dict result;
+    for (auto& image : images)
+        result[image.name.c_str()] = std::visit(
+            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
+    return result;
+}
+
 // --- Denoiser --------------------------------------------------------------------------------------------------------
 
 DenoiseSettings read_settings(const nb::dict& values) {
@@ -389,16 +404,16 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Device>(module, "Device")
         .def(nb::new_([](int index) { return std::make_shared<Device>(index); }), "index"_a = 0)
-        .def("take_timings", [](Device& device) {
+        .def("take_timings", [](Device& device, bool by_launch) {
             std::vector<std::pair<std::string, double>> timings;
             {
                 nb::gil_scoped_release release;
-                timings = device.take_timings();
+                timings = device.take_timings(by_launch);
             }
             nb::dict result;
             for (const auto& [name, milliseconds] : timings) result[name.c_str()] = milliseconds;
             return result;
-        })
+        }, "by_launch"_a = false)
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
@@ -437,7 +452,8 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
              "previous_window"_a, "clip"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a);
+             "pixel_filter"_a, "signals"_a)
+        .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,

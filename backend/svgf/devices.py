@@ -57,6 +57,10 @@ class Device:
         """Milliseconds per stage since the last call. Waits for the device."""
         return self._device.take_timings()
 
+    def synchronize(self) -> None:
+        """Waits until the device has done all that it was asked to."""
+        self._device.synchronize()
+
     def interrupt(self) -> None:
         """From any thread: the running stage, or else the next one, raises Interrupted."""
         self._device.interrupt()

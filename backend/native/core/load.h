@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads of whole records from device memory.
+// Reads and writes of whole records in device memory.
 #pragma once
 
 #include "core/platform.h"
@@ -22,6 +22,22 @@ SVGF_HD inline Record load(const Record* record) {
     return copy.value;
 #else
     return *record;
+#endif
+}
+
+template <class Record>
+SVGF_HD inline void store(Record* record, const Record& value) {
+    static_assert(alignof(Record) == 16 && sizeof(Record) % 16 == 0);
+#if defined(__CUDA_ARCH__)
+    union {
+        Record value;
+        uint4 pieces[sizeof(Record) / 16];
+    } copy{value};
+    uint4* const pieces = reinterpret_cast<uint4*>(record);
+    SVGF_UNROLL
+    for (unsigned i = 0; i < sizeof(Record) / 16; ++i) pieces[i] = copy.pieces[i];
+#else
+    *record = value;
 #endif
 }
 

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cstdlib>
+#include <string_view>
 
 #include "device/device.h"
 
@@ -134,7 +136,7 @@ void Device::end_stage(const char* name) {
     if (synchronize_each_stage_) check(cudaStreamSynchronize(stream_), name);
 }
 
-std::vector<std::pair<std::string, double>> Device::take_timings() {
+std::vector<std::pair<std::string, double>> Device::take_timings(bool by_launch) {
     synchronize();
     std::vector<std::pair<std::string, double>> timings;
     for (const auto& span : spans_) {
@@ -142,13 +144,13 @@ std::vector<std::pair<std::string, double>> Device::take_timings() {
         check(cudaEventElapsedTime(&milliseconds, span.begin, span.end), span.name);
         free_events_.push_back(span.begin);
         free_events_.push_back(span.end);
-        bool known = false;
-        for (auto& [name, total] : timings)
-            if (name == span.name) {
-                total += milliseconds;
-                known = true;
-            }
-        if (!known) timings.emplace_back(span.name, milliseconds);
+        const std::string_view launch = span.name;
+        const std::string_view stage = by_launch ? launch : launch.substr(0, launch.find(' '));
+        const auto known = std::find_if(timings.begin(), timings.end(), [&](const auto& row) { return row.first == stage; });
+        if (known != timings.end())
+            known->second += milliseconds;
+        else
+            timings.emplace_back(stage, milliseconds);
     }
     spans_.clear();
     return timings;

@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
@@ -29,10 +30,20 @@ __global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage s
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i < count) stage(i);
 }
+
+template <class Stage, int threads, int blocks>
+__global__ void __launch_bounds__(threads, blocks)
+    run_queue(const __grid_constant__ Stage stage, const int* count) {
+    const int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i < *count) stage(i);
+}
 #endif
 
 class Device : public std::enable_shared_from_this<Device> {
 public:
+    // Whether stage "path" takes all paths from vertex to vertex together, or one path after the other to its end.
+    static constexpr bool follows_paths_together = true;
+
     explicit Device(int index = 0);
     ~Device();
     Device(const Device&) = delete;
@@ -67,10 +78,23 @@ public:
         run_stage<<<(count + 127) / 128, 128, 0, stream_>>>(stage, count);
         end_stage(name);
     }
+
+    // The first *count indices, of at most `capacity`; the host does not wait to know how many they are.
+    template <class Stage>
+    void launch_queue(const char* name, int capacity, const std::int32_t* count, const Stage& stage) {
+        if (capacity <= 0) return;
+        begin_stage(name);
+        constexpr LaunchShape shape = launch_shape_of<Stage>();
+        constexpr int threads = shape.width * shape.height;
+        run_queue<Stage, threads, shape.blocks>
+            <<<(capacity + threads - 1) / threads, threads, 0, stream_>>>(stage, count);
+        end_stage(name);
+    }
 #endif
 
-    // Milliseconds per name since the last call, in launch order. Waits for the device.
-    std::vector<std::pair<std::string, double>> take_timings();
+    // Milliseconds per stage since the last call, in launch order: the first word of a launch's name. by_launch: per
+    // name. Waits for the device.
+    std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 
     // May be called from any thread: the next launch throws Interrupted. Kernels are short; a running one ends.
     void interrupt() { interrupted_ = true; }

@@ -4,10 +4,12 @@
 //   allocate, release, upload, download, copy, clear    device memory
 //   launch(name, width, height, stage)                  stage(x, y) for every pixel
 //   launch(name, count, stage)                          stage(i) for every index
+//   launch_queue(name, capacity, count, stage)          stage(i) for as many as *count, on the device, says
 //   take_timings, synchronize, interrupt
 //
 // A stage is a plain struct with named fields and `SVGF_HD void operator()(...) const`. Its name is at once the row in
-// the timings, the profiler's range and what an error message says.
+// the timings, the profiler's range and what an error message says. Where one stage takes several launches, theirs go
+// on with a space and another word.
 #pragma once
 
 #include <memory>

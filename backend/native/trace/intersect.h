@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays against the scene: one traversal of both levels of the tree, for the closest hit and for any hit.
 //
-// Nodes are visited front to back by the octant order of their slots [Ylitie17]; what is left of a node while one of
-// its children is visited is a single entry of the stack, so the stack holds as many entries as the tree has levels.
+// All children of a node are tested at once, which gives a mask of those that the ray meets: primitives in its low bits,
+// inner children above them in the order in which the ray visits them, front to back by octant [Ylitie17]. What is
+// left of a node while one of its children is visited is a single entry of the stack.
 // Boxes are tested with a margin for every rounding on the way, so that the tree never hides what a test of all
 // triangles would find. Of hits at the same distance the one with the lowest instance and triangle counts, in
 // whatever order they are found.
@@ -86,15 +87,15 @@ SVGF_HD inline bool intersect_triangle(const TriangleRay& ray, const LeafTriangl
 
 struct BoxRay {
     Vec3 origin, inverse_direction;
-    std::uint32_t octant;  // bit k: the direction is negative along axis k
+    std::uint32_t octant;  // bit k: the direction is positive along axis k
 
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
         // A component of zero becomes one that is too small to matter, so that no product is infinite or NaN.
         const float smallest = max(1e-15f * max_component(abs(direction)), 1e-30f);
         const auto inverse = [smallest](float d) { return 1 / std::copysign(max(std::fabs(d), smallest), d); };
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
-        octant = (inverse_direction.x < 0 ? 1u : 0u) | (inverse_direction.y < 0 ? 2u : 0u) |
-                 (inverse_direction.z < 0 ? 4u : 0u);
+        octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |
+                 (inverse_direction.z < 0 ? 0u : 4u);
     }
 };
 
@@ -102,40 +103,82 @@ struct BoxRay {
 // which may place a hit as far outside of the box.
 constexpr float box_margin = 8.0f / 16777216.0f;
 
-// Slots of a node by the order in which a ray visits them: bit (s ^ octant) for slot s.
-SVGF_HD inline std::uint32_t in_visiting_order(std::uint32_t slots, std::uint32_t octant) {
-    if (octant & 1) slots = ((slots & 0x55) << 1) | ((slots >> 1) & 0x55);
-    if (octant & 2) slots = ((slots & 0x33) << 2) | ((slots >> 2) & 0x33);
-    if (octant & 4) slots = ((slots & 0x0f) << 4) | (slots >> 4);
-    return slots;
+// Like std::fmin and std::fmax: one instruction, and a NaN, from a product without bound, hides no box.
+SVGF_HD inline float smaller(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return fminf(a, b);
+#else
+    return min(a, b);
+#endif
+}
+SVGF_HD inline float larger(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return fmaxf(a, b);
+#else
+    return max(a, b);
+#endif
 }
 
-// The children whose boxes the ray meets within [t_min, t_max], in visiting order.
+// 1 + byte * 2^-15 for byte i of a word: a permutation of bytes, which is faster than a conversion.
+SVGF_HD inline float one_and_byte(std::uint32_t bytes, int i) {
+#if defined(__CUDA_ARCH__)
+#if defined(V_I2F)
+    return float((bytes >> (8 * i)) & 0xffu);
+#else
+    return float_from_bits(__byte_perm(bytes, 0x3f800000u, 0x7604u | std::uint32_t(i) << 4));
+#endif
+#else
+    return float_from_bits(0x3f800000u | ((bytes >> (8 * i)) & 0xffu) << 8);
+#endif
+}
+
+// The children whose boxes the ray meets within [t_min, t_max]: their bits as WideNode describes them, those of inner
+// children at inner_bit + (slot ^ octant), so that the nearest has the highest.
 SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxRay& ray, float t_min, float t_max) {
-    // Along an axis, byte q of a box lies at distance q * step + start.
+    // Along an axis, byte q of a box lies at distance (1 + q / byte_scale) * scale + start.
+#if defined(V_I2F) && defined(__CUDA_ARCH__)
+    constexpr float byte_scale = 1.0f;
+#else
+    constexpr float byte_scale = 32768.0f;
+#endif
     const Vec3 inverse = ray.inverse_direction;
-    const Vec3 step{node.step(0) * inverse.x, node.step(1) * inverse.y, node.step(2) * inverse.z};
-    const Vec3 start = (node.origin - ray.origin) * inverse;
-    const Vec3 margin = (abs(start) + 255.0f * abs(step)) * box_margin;
+    const Vec3 scale{node.step(0) * inverse.x * byte_scale, node.step(1) * inverse.y * byte_scale,
+                     node.step(2) * inverse.z * byte_scale};
+    const Vec3 origin = (node.origin - ray.origin) * inverse;
+#if defined(V_I2F) && defined(__CUDA_ARCH__)
+    const Vec3 start = origin, margin = (abs(origin) + 255.0f * abs(scale)) * box_margin;
+#else
+    const Vec3 start = origin - scale, margin = (abs(origin) + abs(scale)) * box_margin;
+#endif
     const Vec3 near_start = start - margin, far_start = start + margin;
     const bool negative_x = inverse.x < 0, negative_y = inverse.y < 0, negative_z = inverse.z < 0;
-    std::uint32_t slots = 0;
 #if defined(__AVX2__) && !defined(__CUDACC__)
-    const auto distances = [](const std::uint32_t (&bytes)[2], float step, float start) {
-        const __m128i packed = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes));
-        const __m256 q = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(packed));
-        return _mm256_add_ps(_mm256_mul_ps(q, _mm256_set1_ps(step)), _mm256_set1_ps(start));
+    const auto words = [](const std::uint32_t (&bytes)[2]) {
+        return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
     };
-    const __m256 near_x = distances(negative_x ? node.high[0] : node.low[0], step.x, near_start.x);
-    const __m256 near_y = distances(negative_y ? node.high[1] : node.low[1], step.y, near_start.y);
-    const __m256 near_z = distances(negative_z ? node.high[2] : node.low[2], step.z, near_start.z);
-    const __m256 far_x = distances(negative_x ? node.low[0] : node.high[0], step.x, far_start.x);
-    const __m256 far_y = distances(negative_y ? node.low[1] : node.high[1], step.y, far_start.y);
-    const __m256 far_z = distances(negative_z ? node.low[2] : node.high[2], step.z, far_start.z);
+    const auto distances = [&](const std::uint32_t (&bytes)[2], float scale, float start) {
+        const __m256i value = _mm256_or_si256(_mm256_slli_epi32(words(bytes), 8), _mm256_set1_epi32(0x3f800000));
+        return _mm256_add_ps(_mm256_mul_ps(_mm256_castsi256_ps(value), _mm256_set1_ps(scale)), _mm256_set1_ps(start));
+    };
+    const __m256 near_x = distances(negative_x ? node.high[0] : node.low[0], scale.x, near_start.x);
+    const __m256 near_y = distances(negative_y ? node.high[1] : node.low[1], scale.y, near_start.y);
+    const __m256 near_z = distances(negative_z ? node.high[2] : node.low[2], scale.z, near_start.z);
+    const __m256 far_x = distances(negative_x ? node.low[0] : node.high[0], scale.x, far_start.x);
+    const __m256 far_y = distances(negative_y ? node.low[1] : node.high[1], scale.y, far_start.y);
+    const __m256 far_z = distances(negative_z ? node.low[2] : node.high[2], scale.z, far_start.z);
     const __m256 enter = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
     const __m256 leave = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
-    slots = std::uint32_t(_mm256_movemask_ps(_mm256_cmp_ps(enter, leave, _CMP_LE_OQ)));
+    const __m256i met = _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_LE_OQ));
+    const __m256i slot = words(node.slot), shift = _mm256_and_si256(slot, _mm256_set1_epi32(31));
+    const __m256i is_inner = _mm256_cmpgt_epi32(shift, _mm256_set1_epi32(WideNode::inner_bit - 1));
+    const __m256i order = _mm256_xor_si256(shift, _mm256_and_si256(is_inner, _mm256_set1_epi32(int(ray.octant))));
+    const __m256i bits = _mm256_and_si256(_mm256_sllv_epi32(_mm256_srli_epi32(slot, 5), order), met);
+    __m128i mask = _mm_or_si128(_mm256_castsi256_si128(bits), _mm256_extracti128_si256(bits, 1));
+    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0x4e));
+    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0xb1));
+    return std::uint32_t(_mm_cvtsi128_si32(mask));
 #else
+    std::uint32_t mask = 0;
     SVGF_UNROLL
     for (int half = 0; half < 2; ++half) {
         const std::uint32_t near_x = negative_x ? node.high[0][half] : node.low[0][half];
@@ -144,33 +187,50 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         const std::uint32_t far_x = negative_x ? node.low[0][half] : node.high[0][half];
         const std::uint32_t far_y = negative_y ? node.low[1][half] : node.high[1][half];
         const std::uint32_t far_z = negative_z ? node.low[2][half] : node.high[2][half];
+        // Four slots at once: only the shifts of inner children have both of their highest bits set.
+        const std::uint32_t slots = node.slot[half];
+        const std::uint32_t inner = (slots >> 4) & (slots >> 3) & 0x01010101u;
+        const std::uint32_t shifts = (slots ^ (inner * ray.octant)) & 0x1f1f1f1fu;
+        const std::uint32_t children = (slots >> 5) & 0x07070707u;
         SVGF_UNROLL
         for (int i = 0; i < 4; ++i) {
-            const auto distance = [i](std::uint32_t bytes, float step, float start) {
-                return float((bytes >> (8 * i)) & 0xffu) * step + start;
+            const auto distance = [i](std::uint32_t bytes, float scale, float start) {
+                return one_and_byte(bytes, i) * scale + start;
             };
-            const float enter = max(max(distance(near_x, step.x, near_start.x), distance(near_y, step.y, near_start.y)),
-                                    max(distance(near_z, step.z, near_start.z), t_min));
-            const float leave = min(min(distance(far_x, step.x, far_start.x), distance(far_y, step.y, far_start.y)),
-                                    min(distance(far_z, step.z, far_start.z), t_max));
-            slots |= (enter <= leave ? 1u : 0u) << (4 * half + i);
+            const float enter =
+                larger(larger(distance(near_x, scale.x, near_start.x), distance(near_y, scale.y, near_start.y)),
+                       larger(distance(near_z, scale.z, near_start.z), t_min));
+            const float leave =
+                smaller(smaller(distance(far_x, scale.x, far_start.x), distance(far_y, scale.y, far_start.y)),
+                        smaller(distance(far_z, scale.z, far_start.z), t_max));
+            if (enter <= leave) mask |= ((children >> (8 * i)) & 0xffu) << ((shifts >> (8 * i)) & 0xffu);
         }
     }
+    return mask;
 #endif
-    return in_visiting_order(slots & node.used_slots(), ray.octant);
 }
 
 // --- Traversal -------------------------------------------------------------------------------------------------------
 
 // Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
-// becomes the closest one. Each step stands here once, and all rays share it: inlined for closest and any hit, with the
-// box test at each of its three uses, it made stage "path" wait for instructions most of the time.
-SVGF_HD SVGF_NOINLINE inline bool traverse(const SceneView& scene, const Ray& ray, bool any_hit, Hit& hit) {
-    // A node and those of its children that are still to be visited.
+// becomes the closest one.
+template <bool any_hit>
+SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
+    // Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low
+    // bits, or primitives.
     struct Group {
-        std::uint32_t node, slots;
+        std::uint32_t first, bits;
+
+        SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
     };
-    Group stack[2 * max_tree_levels];
+    constexpr Group root{0, 1u << 31};
+    constexpr Group only_instance{0, 1u};
+    // A group per level, and one of instances.
+    #if defined(V_POSTPONE)
+    Group stack[4 * max_tree_levels + 1];
+#else
+    Group stack[2 * max_tree_levels + 1];
+#endif
     int stack_size = 0;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
@@ -179,60 +239,55 @@ SVGF_HD SVGF_NOINLINE inline bool traverse(const SceneView& scene, const Ray& ra
     BoxRay box_ray(ray.origin, ray.direction);
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
-    Group group{0, 0};
-    bool enters = true;  // the node of the group, whose children are not tested yet
+    Group group = scene.has_one_instance ? only_instance : root;
     for (;;) {
-        if (enters) {
-            group.slots = intersect_children(load(nodes + group.node), box_ray, ray.t_min, t_max);
-            enters = false;
+        Group primitives;
+        if (group.has_nodes()) {
+            const int bit = highest_set_bit(group.bits);
+            group.bits ^= 1u << bit;
+            const std::uint32_t slot = std::uint32_t(bit - WideNode::inner_bit) ^ box_ray.octant;
+            const std::uint32_t before = group.bits & ((1u << slot) - 1) & 0xffu;
+            const std::uint32_t child = group.first + std::uint32_t(count_set_bits(before));
+            if (group.has_nodes()) stack[stack_size++] = group;
+            const WideNode node = load(nodes + child);
+            const std::uint32_t mask = intersect_children(node, box_ray, ray.t_min, t_max);
+            group = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
+            primitives = {node.first_primitive, mask & 0x00ffffffu};
+        } else {
+            primitives = group;
+            group.bits = 0;
         }
-        if (group.slots == 0) {
-            if (instance >= 0 && stack_size == instance_floor) {
-                instance = -1;
-                instance_floor = 0;
-                nodes = scene.nodes;
-                box_ray = BoxRay(ray.origin, ray.direction);
+        while (primitives.bits) {
+            const std::uint32_t i = primitives.first + std::uint32_t(lowest_set_bit(primitives.bits));
+            primitives.bits &= primitives.bits - 1;
+            if (instance < 0) {
+                if (group.has_nodes()) stack[stack_size++] = group;
+                if (primitives.bits) stack[stack_size++] = primitives;
+                instance_floor = stack_size;
+                instance = scene.instance_order[i];
+                const Instance placed = load(scene.instances + instance);
+                const MeshView& mesh = scene.meshes[placed.mesh];
+                const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
+                const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
+                nodes = mesh.nodes;
+                triangles = mesh.triangles;
+                box_ray = BoxRay(origin, direction);
+                triangle_ray = TriangleRay(origin, direction);
+                group = root;
+                break;
             }
-            if (stack_size == 0) break;
-            group = stack[--stack_size];
-            continue;
-        }
-        const int first = lowest_set_bit(group.slots);
-        group.slots &= group.slots - 1;
-        const WideNode& node = nodes[group.node];
-        const std::uint32_t slot = WideNode::byte(node.slot, first ^ int(box_ray.octant));
-        const std::uint32_t count = WideNode::primitive_count(slot);
-        if (count == 0) {
-            const std::uint32_t child = node.first_child + WideNode::offset(slot);
-            if (group.slots) stack[stack_size++] = group;
-            group.node = child;
-            enters = true;
-            continue;
-        }
-        const std::uint32_t begin = node.first_primitive + WideNode::offset(slot);
-        if (instance < 0) {
-            // Leaves of the top level hold one instance each.
-            if (group.slots) stack[stack_size++] = group;
-            instance = scene.instance_order[begin];
-            instance_floor = stack_size;
-            const Instance& placed = scene.instances[instance];
-            const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
-            const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
-            const MeshView& mesh = scene.meshes[placed.mesh];
-            nodes = mesh.nodes;
-            triangles = mesh.triangles;
-            box_ray = BoxRay(origin, direction);
-            triangle_ray = TriangleRay(origin, direction);
-            group.node = 0;
-            enters = true;
-            continue;
-        }
-        for (std::uint32_t i = begin; i < begin + count; ++i) {
+#if defined(V_POSTPONE) && defined(__CUDA_ARCH__)
+            if (group.has_nodes() && __popc(__activemask()) < V_POSTPONE) {
+                primitives.bits |= 1u << (i - primitives.first);
+                stack[stack_size++] = primitives;
+                break;
+            }
+#endif
             const LeafTriangle triangle = load(triangles + i);
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
-            if (any_hit) return true;
+            if constexpr (any_hit) return true;
             const std::int32_t index = triangle.index;
             const bool closer = t < t_max || instance < hit.instance ||
                                 (instance == hit.instance && index < hit.triangle);
@@ -240,19 +295,27 @@ SVGF_HD SVGF_NOINLINE inline bool traverse(const SceneView& scene, const Ray& ra
             t_max = t;
             hit = {t, weight1, weight2, instance, index, std::int32_t(i)};
         }
+        if (group.has_nodes()) continue;
+        if (stack_size == 0) break;
+        if (instance >= 0 && stack_size == instance_floor) {
+            instance = -1;
+            nodes = scene.nodes;
+            box_ray = BoxRay(ray.origin, ray.direction);
+        }
+        group = stack[--stack_size];
     }
     return t_max < ray.t_max;
 }
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
-    traverse(scene, ray, false, hit);
+    traverse<false>(scene, ray, hit);
     return hit;
 }
 
 SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
     Hit unused;
-    return traverse(scene, ray, true, unused);
+    return traverse<true>(scene, ray, unused);
 }
 
 }  // namespace svgf

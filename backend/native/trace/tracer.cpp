@@ -7,8 +7,10 @@
 
 #include "device/threads.h"
 #include "scene/bvh.h"
+#include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
+#include "trace/wavefront.h"
 
 namespace svgf {
 namespace {
@@ -163,6 +165,7 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     mesh_views_ = Buffer<MeshView>(device_, std::span<const MeshView>(views), "meshes");
     material_table_ = Buffer<std::int32_t>(device_, arrays.material_table, "the material table");
     scene_.nodes = nodes_.data();
+    scene_.has_one_instance = order.size() == 1;
     scene_.instance_order = instance_order_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
@@ -282,27 +285,102 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     };
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
 
-    PathStage<kernel> path{
-        .scene = scene_,
-        .camera = camera_,
-        .sample = frame.sample,
-        .seed = frame.seed,
-        .bounces = frame.bounces,
-        .box_filter = box_filter,
-        .splits_direct = splits_direct,
+    const PathVertices<kernel> vertices{
+        .scene = scene_, .bounces = frame.bounces, .splits_direct = splits_direct, .two_signals = two_signals};
+    RadianceImages radiance{
         .first_of_frame = true,
         .weight = 1.0f / float(frame.samples),
-        .in_hit = hits.data(),
         .out_emission = vectors("emission"),
         .out_first_signal = vectors(splits_direct ? "direct" : "diffuse"),
         .out_second_signal = two_signals ? vectors(splits_direct ? "indirect" : "specular") : nullptr,
     };
-    for (int i = 0; i < frame.samples; ++i) {
-        device_.launch("path", frame.width, frame.height, path);
-        ++path.sample;
-        path.first_of_frame = false;
-        // Through the pixels' centres all samples start with the same ray.
-        if (box_filter) path.in_hit = nullptr;
+    if constexpr (Device::follows_paths_together) {
+        trace_wavefront(frame, vertices, hits.data(), radiance);
+    } else {
+        PathStage<kernel> path{.vertices = vertices,
+                               .camera = camera_,
+                               .sample = frame.sample,
+                               .seed = frame.seed,
+                               .box_filter = box_filter,
+                               .in_hit = hits.data(),
+                               .out = radiance};
+        for (int i = 0; i < frame.samples; ++i) {
+            device_.launch("path", frame.width, frame.height, path);
+            ++path.sample;
+            path.out.first_of_frame = false;
+            // Through the pixels' centres all samples start with the same ray.
+            if (box_filter) path.in_hit = nullptr;
+        }
+    }
+    return images;
+}
+
+template <Effects kernel>
+void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, const Hit* first_hits,
+                             RadianceImages out) {
+    const int width = frame.width, height = frame.height, pixels = width * height;
+    const bool box_filter = frame.pixel_filter == PixelFilter::box;
+    const int vertex_count = frame.bounces + 2;
+    Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
+    Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
+    Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
+    Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
+    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
+    Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
+    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
+    const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
+    const auto path_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
+    };
+    const auto shadow_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
+    };
+    std::uint32_t sample = frame.sample;
+    for (int i = 0; i < frame.samples; ++i, ++sample) {
+        counts.clear();
+        if (i > 0 && box_filter) {
+            device_.launch("path first", width, height, FirstExtendStage{scene_, camera_, sample, frame.seed, hits.data()});
+            first_hits = hits.data();
+        }
+        device_.launch("path shade", width, height,
+                       FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
+                                               path_queue(1), shadow_queue(0)});
+        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
+                             ShadowStage<kernel>{vertices, memory, 0, shadow_queue(0).pixels});
+        for (int vertex = 1; vertex < vertex_count; ++vertex) {
+            const PixelQueue queue = path_queue(vertex);
+            device_.launch_queue("path extend", pixels, queue.count, ExtendStage{scene_, memory, queue.pixels});
+            device_.launch_queue("path shade", pixels, queue.count,
+                                 ShadeStage<kernel>{vertices, memory, width, sample, frame.seed, vertex, queue.pixels,
+                                                    path_queue(vertex + 1), shadow_queue(vertex)});
+            if (vertex + 1 < vertex_count)
+                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
+                                     ShadowStage<kernel>{vertices, memory, vertex, shadow_queue(vertex).pixels});
+        }
+        device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
+        out.first_of_frame = false;
+    }
+}
+
+std::vector<Image> Tracer::cast(std::span<const float> rays, int width, int height, bool any_hit) {
+    expect(width >= 1 && height >= 1 && std::int64_t(width) * height < (std::int64_t(1) << 28) &&
+               rays.size() == 8 * std::size_t(width) * std::size_t(height),
+           "Rays must be [H, W, 8], at least one and at most 2^28.");
+    const std::size_t count = std::size_t(width) * std::size_t(height);
+    const Buffer<Ray> in(device_, std::span(reinterpret_cast<const Ray*>(rays.data()), count), "rays");
+    std::vector<Image> images;
+    const auto integers = [&](const char* name) {
+        images.push_back({name, 1, Buffer<std::int32_t>(device_, count, name)});
+        return std::get<Buffer<std::int32_t>>(images.back().pixels).data();
+    };
+    if (any_hit) {
+        device_.launch("occluded", width, height, OccludedStage{scene_, width, in.data(), integers("occluded")});
+    } else {
+        images.push_back({"distance", 1, Buffer<float>(device_, count, "distance")});
+        float* const distance = std::get<Buffer<float>>(images.back().pixels).data();
+        std::int32_t* const instance = integers("instance");
+        device_.launch("closest", width, height,
+                       ClosestStage{scene_, width, in.data(), distance, instance, integers("triangle")});
     }
     return images;
 }

@@ -19,6 +19,11 @@
 
 namespace svgf {
 
+struct Hit;
+template <Effects kernel>
+struct PathVertices;
+struct RadianceImages;
+
 enum class PixelFilter { box, center };
 enum class Signals { diffuse_specular, direct_indirect };
 
@@ -86,9 +91,17 @@ public:
     // "direct" and "indirect"; "specular" is left out where the effects lack it.
     std::vector<Image> trace(const Frame& frame);
 
+    // rays: [height, width, 8], origin, direction, and the distances between which hits count, in lengths of the
+    // direction. Stage "closest": images "distance", infinity where nothing is hit, "instance" and "triangle" (int),
+    // -1 there. With any_hit stage "occluded": image "occluded" (int), 0 or 1.
+    std::vector<Image> cast(std::span<const float> rays, int width, int height, bool any_hit);
+
 private:
     template <Effects kernel>
     std::vector<Image> trace_with(const Frame& frame);
+    template <Effects kernel>
+    void trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, const Hit* first_hits,
+                         RadianceImages out);
 
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;
