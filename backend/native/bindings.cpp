@@ -187,11 +187,14 @@ nb::object to_numpy(Device& device, nb::object image) {
         const size_t shape[3] = {size_t(source.height), size_t(source.width), size_t(source.channels)};
         return std::visit(
             [&](const auto& pixels) {
-                auto values = [&] {
+                using Value = std::remove_const_t<std::remove_pointer_t<decltype(pixels.data())>>;
+                auto* owner = new std::shared_ptr<void>(device.host_memory(pixels.bytes()));
+                nb::capsule capsule(owner, [](void* memory) noexcept { delete static_cast<std::shared_ptr<void>*>(memory); });
+                {
                     nb::gil_scoped_release release;
-                    return pixels.download();
-                }();
-                return numpy_image(std::move(values), source.channels == 1 ? 2 : 3, shape);
+                    device.download(owner->get(), pixels.data(), pixels.bytes());
+                }
+                return nb::cast(nb::ndarray<nb::numpy, Value>(owner->get(), source.channels == 1 ? 2 : 3, shape, capsule));
             },
             source.pixels);
     }

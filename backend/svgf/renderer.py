@@ -237,19 +237,23 @@ class Renderer:
             array = image if isinstance(image, np.ndarray) else self.device.to_numpy(image)
             return array if array.dtype == np.int32 else array.astype(np.float32, copy=False)
 
-        noisy = sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys()))
+        def lazy(image: Any, factor: float = 1.0) -> Callable[[], np.ndarray]:
+            return lambda: host(image) if factor == 1.0 else host(image) * np.float32(factor)
+
+        radiance = [images[name] for name in sorted(RADIANCE_IMAGES & images.keys())]
+        albedo = [images[name] for name in ("diffuse_albedo", "specular_albedo") if name in images]
         return Frame(
             frame=scene.frame,
-            color=host(denoised["color"]) * np.float32(exposure),
-            noisy=noisy * np.float32(exposure),
-            albedo=host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
-            normal=host(images["normal"]),
-            depth=host(images["depth"]),
-            motion=host(images["motion"]),
-            roughness=host(images["roughness"]),
-            object_id=host(images["object_id"]),
-            variance=host(denoised["variance"]) * np.float32(exposure**2),
-            history_length=host(denoised["history_length"]),
+            color=lazy(denoised["color"], exposure),
+            noisy=lambda: sum(map(host, radiance)) * np.float32(exposure),
+            albedo=lambda: sum(map(host, albedo)),
+            normal=lazy(images["normal"]),
+            depth=lazy(images["depth"]),
+            motion=lazy(images["motion"]),
+            roughness=lazy(images["roughness"]),
+            object_id=lazy(images["object_id"]),
+            variance=lazy(denoised["variance"], exposure**2),
+            history_length=lazy(denoised["history_length"]),
             timings=timings,
             reset=reset,
         )

@@ -17,6 +17,9 @@
 namespace svgf {
 namespace {
 
+// Of pinned host memory: kept for later, and in use. A frame's images in 4K are about 1 GiB.
+constexpr size_t most_free_pinned_bytes = size_t(512) << 20, most_used_pinned_bytes = size_t(1) << 30;
+
 std::string hint_for(cudaError_t error) {
     switch (error) {
         case cudaErrorInsufficientDriver:
@@ -95,6 +98,37 @@ void Device::upload(void* device, const void* host, size_t bytes) {
 void Device::download(void* host, const void* device, size_t bytes) {
     if (bytes) check(cudaMemcpyAsync(host, device, bytes, cudaMemcpyDeviceToHost, stream_), last_stage_);
     synchronize();
+}
+
+Device::PinnedBlocks::~PinnedBlocks() {
+    for (const auto& [bytes, data] : free) cudaFreeHost(data);
+}
+
+void Device::PinnedBlocks::give_back(void* data, size_t bytes) {
+    std::lock_guard lock(mutex);
+    used_bytes -= bytes;
+    if (free_bytes + bytes > most_free_pinned_bytes) {
+        cudaFreeHost(data);
+        return;
+    }
+    free.emplace(bytes, data);
+    free_bytes += bytes;
+}
+
+std::shared_ptr<void> Device::host_memory(size_t bytes) {
+    std::lock_guard lock(pinned_->mutex);
+    void* data = nullptr;
+    if (const auto found = pinned_->free.find(bytes); found != pinned_->free.end()) {
+        data = found->second;
+        pinned_->free.erase(found);
+        pinned_->free_bytes -= bytes;
+    } else if (pinned_->used_bytes + bytes > most_used_pinned_bytes ||
+               cudaHostAlloc(&data, bytes ? bytes : 1, cudaHostAllocDefault) != cudaSuccess) {
+        cudaGetLastError();
+        return {::operator new(bytes), [](void* memory) { ::operator delete(memory); }};
+    }
+    pinned_->used_bytes += bytes;
+    return {data, [blocks = pinned_, bytes](void* memory) { blocks->give_back(memory, bytes); }};
 }
 
 void Device::copy(void* to, const void* from, size_t bytes) {

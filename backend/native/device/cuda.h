@@ -7,7 +7,9 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <utility>
 #include <vector>
@@ -59,6 +61,10 @@ public:
     void clear(void* device, size_t bytes);
     void synchronize();
 
+    // Host memory that the device writes to without a detour: several times as fast, but slow to get, so what is
+    // given back is kept for the next. Ordinary memory once much of it is in use. Any thread may give it back.
+    std::shared_ptr<void> host_memory(size_t bytes);
+
 #if defined(__CUDACC__)
     template <class Stage>
     void launch(const char* name, int width, int height, const Stage& stage) {
@@ -109,6 +115,16 @@ private:
         cudaEvent_t begin, end;
     };
 
+    // Blocks of pinned memory by size; shared with the blocks in use, which may outlive the device.
+    struct PinnedBlocks {
+        ~PinnedBlocks();
+        void give_back(void* data, size_t bytes);
+
+        std::mutex mutex;
+        std::multimap<size_t, void*> free;
+        size_t free_bytes = 0, used_bytes = 0;
+    };
+
     void begin_stage(const char* name);
     void end_stage(const char* name);
     void check(cudaError_t error, const char* stage) const;
@@ -124,6 +140,7 @@ private:
     std::vector<Span> spans_;
     std::vector<cudaEvent_t> free_events_;
     std::atomic<bool> interrupted_{false};
+    std::shared_ptr<PinnedBlocks> pinned_ = std::make_shared<PinnedBlocks>();
 };
 
 }  // namespace svgf

@@ -125,7 +125,7 @@ public:
 
     void build(int height) {
         const std::uint32_t count = std::uint32_t(primitives_.size());
-        if (count > shared_above) sorted_ = HostArray<Primitive>(count);
+        if (count > shared_above) sorted_ = HostBuffer<Primitive>(count);
         std::vector<Task> pending{{0, 0, count, height}}, subtrees;
         std::vector<std::uint32_t> shared;  // parents before children
         while (!pending.empty()) {
@@ -281,13 +281,13 @@ private:
     const std::span<Primitive> primitives_;
     const std::uint32_t leaf_size_;
     BinaryNode* const nodes_;
-    HostArray<Primitive> sorted_;  // room for partition_by_all
+    HostBuffer<Primitive> sorted_;  // room for partition_by_all
 };
 
 }  // namespace
 
-HostArray<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height) {
-    HostArray<BinaryNode> nodes(2 * primitives.size() - 1);
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height) {
+    HostBuffer<BinaryNode> nodes(2 * primitives.size() - 1);
     Builder(primitives, leaf_size, nodes.data()).build(height);
     return nodes;
 }

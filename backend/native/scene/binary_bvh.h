@@ -5,13 +5,13 @@
 #include <cstdint>
 #include <span>
 
-#include "core/host_array.h"
+#include "core/host_buffer.h"
 #include "scene/bounds.h"
 
 namespace svgf {
 
 // A box to be sorted into a tree.
-struct alignas(32) Primitive {
+struct alignas(16) Primitive {
     Vec3 low;
     std::uint32_t index;
     Vec3 high;
@@ -33,6 +33,6 @@ static_assert(sizeof(BinaryNode) == 32);
 
 // The root is node 0; nodes that no one names are not initialised. Sorts the primitives, at least one, into leaf order.
 // height: most levels below the root, of which 2^height must be at least the number of primitives.
-HostArray<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height);
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height);
 
 }  // namespace svgf

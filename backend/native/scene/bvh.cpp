@@ -11,7 +11,7 @@
 #include <cassert>
 #include <deque>
 
-#include "core/host_array.h"
+#include "core/host_buffer.h"
 #include "device/threads.h"
 #include "scene/binary_bvh.h"
 
@@ -36,7 +36,7 @@ struct Part {
 
 class Collapser {
 public:
-    Collapser(const HostArray<BinaryNode>& nodes, std::span<const Primitive> primitives)
+    Collapser(const HostBuffer<BinaryNode>& nodes, std::span<const Primitive> primitives)
         : nodes_(nodes), primitives_(primitives) {}
 
     // Makes one wide node; calls pend(task) for each of its inner children, whose nodes come to lie at the end.
@@ -130,7 +130,7 @@ private:
         }
     }
 
-    const HostArray<BinaryNode>& nodes_;
+    const HostBuffer<BinaryNode>& nodes_;
     const std::span<const Primitive> primitives_;
 };
 
@@ -164,7 +164,7 @@ Bvh join(Part&& top, const std::deque<Task>& roots, const std::vector<Part>& par
     return bvh;
 }
 
-Bvh collapse(const HostArray<BinaryNode>& nodes, std::span<const Primitive> primitives) {
+Bvh collapse(const HostBuffer<BinaryNode>& nodes, std::span<const Primitive> primitives) {
     const Collapser collapser(nodes, primitives);
     Part top;
     top.nodes.resize(1);
@@ -216,7 +216,7 @@ Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size) {
         bounds.add(chunk_bounds[c]);
     }
     if (start.back() == 0) return {.nodes = std::vector<WideNode>(1), .primitives = {}, .bounds = {}};
-    HostArray<Primitive> primitives(start.back());
+    HostBuffer<Primitive> primitives(start.back());
     for_boxes([&](std::size_t c, std::size_t i) {
         primitives[start[c]++] = {boxes[i].low, std::uint32_t(i), boxes[i].high, 0};
     });

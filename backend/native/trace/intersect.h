@@ -122,11 +122,7 @@ SVGF_HD inline float larger(float a, float b) {
 // 1 + byte * 2^-15 for byte i of a word: a permutation of bytes, which is faster than a conversion.
 SVGF_HD inline float one_and_byte(std::uint32_t bytes, int i) {
 #if defined(__CUDA_ARCH__)
-#if defined(V_I2F)
-    return float((bytes >> (8 * i)) & 0xffu);
-#else
     return float_from_bits(__byte_perm(bytes, 0x3f800000u, 0x7604u | std::uint32_t(i) << 4));
-#endif
 #else
     return float_from_bits(0x3f800000u | ((bytes >> (8 * i)) & 0xffu) << 8);
 #endif
@@ -136,20 +132,16 @@ SVGF_HD inline float one_and_byte(std::uint32_t bytes, int i) {
 // children at inner_bit + (slot ^ octant), so that the nearest has the highest.
 SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxRay& ray, float t_min, float t_max) {
     // Along an axis, byte q of a box lies at distance (1 + q / byte_scale) * scale + start.
-#if defined(V_I2F) && defined(__CUDA_ARCH__)
-    constexpr float byte_scale = 1.0f;
+#if defined(V_HALF) && defined(__CUDA_ARCH__)
+    constexpr float byte_scale = 1.0f, byte_offset = 1024.0f;
 #else
-    constexpr float byte_scale = 32768.0f;
+    constexpr float byte_scale = 32768.0f, byte_offset = 1.0f;
 #endif
     const Vec3 inverse = ray.inverse_direction;
     const Vec3 scale{node.step(0) * inverse.x * byte_scale, node.step(1) * inverse.y * byte_scale,
                      node.step(2) * inverse.z * byte_scale};
     const Vec3 origin = (node.origin - ray.origin) * inverse;
-#if defined(V_I2F) && defined(__CUDA_ARCH__)
-    const Vec3 start = origin, margin = (abs(origin) + 255.0f * abs(scale)) * box_margin;
-#else
-    const Vec3 start = origin - scale, margin = (abs(origin) + abs(scale)) * box_margin;
-#endif
+    const Vec3 start = origin - scale * byte_offset, margin = (abs(origin) + abs(scale) * byte_offset) * box_margin;
     const Vec3 near_start = start - margin, far_start = start + margin;
     const bool negative_x = inverse.x < 0, negative_y = inverse.y < 0, negative_z = inverse.z < 0;
 #if defined(__AVX2__) && !defined(__CUDACC__)
@@ -192,17 +184,37 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         const std::uint32_t inner = (slots >> 4) & (slots >> 3) & 0x01010101u;
         const std::uint32_t shifts = (slots ^ (inner * ray.octant)) & 0x1f1f1f1fu;
         const std::uint32_t children = (slots >> 5) & 0x07070707u;
+#if defined(V_HALF) && defined(__CUDA_ARCH__)
+        float v[6][4];
+        const auto expand = [](std::uint32_t bytes, float (&out)[4]) {
+            asm("{.reg .b16 a,b; mov.b32 {a,b}, %2; cvt.f32.f16 %0, a; cvt.f32.f16 %1, b;}" : "=f"(out[0]), "=f"(out[1]) : "r"(__byte_perm(bytes, 0x64646464u, 0x4140)));
+            asm("{.reg .b16 a,b; mov.b32 {a,b}, %2; cvt.f32.f16 %0, a; cvt.f32.f16 %1, b;}" : "=f"(out[2]), "=f"(out[3]) : "r"(__byte_perm(bytes, 0x64646464u, 0x4342)));
+        };
+        expand(near_x, v[0]); expand(near_y, v[1]); expand(near_z, v[2]); expand(far_x, v[3]); expand(far_y, v[4]); expand(far_z, v[5]);
+#endif
         SVGF_UNROLL
         for (int i = 0; i < 4; ++i) {
+#if defined(V_HALF) && defined(__CUDA_ARCH__)
+            const float nx = v[0][i] * scale.x + near_start.x, ny = v[1][i] * scale.y + near_start.y, nz = v[2][i] * scale.z + near_start.z;
+            const float fx = v[3][i] * scale.x + far_start.x, fy = v[4][i] * scale.y + far_start.y, fz = v[5][i] * scale.z + far_start.z;
+#else
+            const auto one = [i](std::uint32_t bytes, float scale, float start) { return one_and_byte(bytes, i) * scale + start; };
+            const float nx = one(near_x, scale.x, near_start.x), ny = one(near_y, scale.y, near_start.y), nz = one(near_z, scale.z, near_start.z);
+            const float fx = one(far_x, scale.x, far_start.x), fy = one(far_y, scale.y, far_start.y), fz = one(far_z, scale.z, far_start.z);
+#endif
+#if defined(V_VIMAX) && defined(__CUDA_ARCH__)
+            const int e = max(__vimax3_s32(__float_as_int(nx), __float_as_int(ny), __float_as_int(nz)), __float_as_int(t_min));
+            const int l = min(__vimin3_s32(__float_as_int(fx), __float_as_int(fy), __float_as_int(fz)), __float_as_int(t_max));
+            if (e <= l) mask |= ((children >> (8 * i)) & 0xffu) << ((shifts >> (8 * i)) & 0xffu);
+            continue;
+#endif
             const auto distance = [i](std::uint32_t bytes, float scale, float start) {
                 return one_and_byte(bytes, i) * scale + start;
             };
             const float enter =
-                larger(larger(distance(near_x, scale.x, near_start.x), distance(near_y, scale.y, near_start.y)),
-                       larger(distance(near_z, scale.z, near_start.z), t_min));
+                larger(larger(nx, ny), larger(nz, t_min));
             const float leave =
-                smaller(smaller(distance(far_x, scale.x, far_start.x), distance(far_y, scale.y, far_start.y)),
-                        smaller(distance(far_z, scale.z, far_start.z), t_max));
+                smaller(smaller(fx, fy), smaller(fz, t_max));
             if (enter <= leave) mask |= ((children >> (8 * i)) & 0xffu) << ((shifts >> (8 * i)) & 0xffu);
         }
     }

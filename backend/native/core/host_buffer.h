@@ -12,21 +12,21 @@ namespace svgf {
 // Host memory for `size` values that are not initialised: the thread that first writes a page is the one that pays for
 // it. std::vector would have one thread write all of it.
 template <class T>
-class HostArray {
+class HostBuffer {
     static_assert(std::is_trivially_destructible_v<T>);
 
 public:
-    HostArray() = default;
-    explicit HostArray(std::size_t size)
+    HostBuffer() = default;
+    explicit HostBuffer(std::size_t size)
         : data_(size ? static_cast<T*>(::operator new(size * sizeof(T), alignment)) : nullptr), size_(size) {}
-    HostArray(HostArray&& other) noexcept
+    HostBuffer(HostBuffer&& other) noexcept
         : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
-    HostArray& operator=(HostArray&& other) noexcept {
+    HostBuffer& operator=(HostBuffer&& other) noexcept {
         std::swap(data_, other.data_);
         std::swap(size_, other.size_);
         return *this;
     }
-    ~HostArray() {
+    ~HostBuffer() {
         if (data_) ::operator delete(data_, alignment);
     }
 
