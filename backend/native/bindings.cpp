@@ -264,7 +264,7 @@ Choice choose(const std::string& value, const char* what, std::initializer_list<
 }
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
-               uint32_t effects, const std::string& pixel_filter, const std::string& signals) {
+               uint32_t effects, const std::string& pixel_filter, const std::string& signals, uint32_t kernel) {
     const Tracer::Frame frame{
         .width = width,
         .height = height,
@@ -273,6 +273,7 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
         .seed = seed,
         .bounces = bounces,
         .effects = effects,
+        .kernel = kernel,
         .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
                                             {{"box", PixelFilter::box}, {"center", PixelFilter::center}}),
         .signals = choose<Signals>(signals, "split into signals",
@@ -393,6 +394,11 @@ NB_MODULE(SVGF_MODULE, module) {
         for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
         return devices;
     }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
+    module.def("kernels", [] {
+        std::vector<uint32_t> kernels;
+        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
+        return kernels;
+    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame runs.");
     module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
@@ -455,7 +461,7 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
              "previous_window"_a, "clip"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a)
+             "pixel_filter"_a, "signals"_a, "kernel"_a = 0)
         .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
 
     nb::class_<Denoiser>(module, "Denoiser")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .effects import Effects
 from .errors import DeviceError, InputError
 
 NAMES = ("auto", "cuda", "cpu", "reference")
@@ -52,6 +53,15 @@ class Device:
 
     def denoiser(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Denoiser(self._device, *arguments, **named)
+
+    @property
+    def kernels(self) -> tuple[Effects, ...]:
+        """What each compiled kernel simulates, from the cheapest on: a frame takes the first that covers its effects."""
+        return tuple(Effects(bits) for bits in self._module.kernels())
+
+    def kernel_for(self, effects: Effects) -> Effects:
+        """The one of ``kernels`` that a frame with these effects takes."""
+        return next(kernel for kernel in self.kernels if effects & kernel == effects)
 
     def take_timings(self) -> dict[str, float]:
         """Milliseconds per stage since the last call. Waits for the device."""

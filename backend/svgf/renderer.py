@@ -242,6 +242,7 @@ class Renderer:
 
         radiance = [images[name] for name in sorted(RADIANCE_IMAGES & images.keys())]
         albedo = [images[name] for name in ("diffuse_albedo", "specular_albedo") if name in images]
+        width, height = self._denoiser_size
         return Frame(
             frame=scene.frame,
             color=lazy(denoised["color"], exposure),
@@ -249,7 +250,7 @@ class Renderer:
             albedo=lambda: sum(map(host, albedo)),
             normal=lazy(images["normal"]),
             depth=lazy(images["depth"]),
-            motion=lazy(images["motion"]),
+            motion=lazy(images["motion"]) if "motion" in images else lambda: np.zeros((height, width, 3), np.float32),
             roughness=lazy(images["roughness"]),
             object_id=lazy(images["object_id"]),
             variance=lazy(denoised["variance"], exposure**2),

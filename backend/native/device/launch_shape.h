@@ -2,12 +2,6 @@
 // How a GPU runs a stage. The CPU device does not look at it.
 #pragma once
 
-#ifndef V_TRACE
-#define V_TRACE 1
-#endif
-#ifndef V_SHADE
-#define V_SHADE 1
-#endif
 namespace svgf {
 
 struct LaunchShape {

@@ -8,7 +8,7 @@
 namespace svgf {
 
 struct ClosestStage {
-    static constexpr LaunchShape launch_shape{8, 16, V_TRACE};
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
 
     SceneView scene;
     int width;
@@ -27,7 +27,7 @@ struct ClosestStage {
 };
 
 struct OccludedStage {
-    static constexpr LaunchShape launch_shape{8, 16, V_TRACE};
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
 
     SceneView scene;
     int width;

@@ -16,9 +16,11 @@ namespace svgf {
 namespace {
 
 // Every kernel is compiled once for each of these. The first one that covers the effects of a frame runs, so they go
-// from the cheapest to the one that covers everything.
+// from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
+// nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
     without(Effects::all, Effects::specular | Effects::transmission),
+    without(Effects::all, Effects::transmission),
     Effects::all,
 };
 
@@ -232,13 +234,15 @@ void Tracer::set_camera(const Cameras& arrays) {
     previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window);
 }
 
+std::span<const Effects> Tracer::kernels() { return kernel_effects; }
+
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
     expect(frame.samples >= 1 && frame.bounces >= 0, "There must be at least one sample, and no negative bounces.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
-    return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
+    return with_kernel(Effects(frame.effects) | Effects(frame.kernel), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 
 template <Effects kernel>
@@ -261,7 +265,11 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     }
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
     const bool splits_direct = frame.signals == Signals::direct_indirect;
-    const bool two_signals = splits_direct || covers(Effects(frame.effects), Effects::specular);
+    const Effects effects{frame.effects};
+    const bool has_specular = covers(effects, Effects::specular);
+    const bool two_signals = splits_direct || has_specular;
+    const bool has_motion =
+        (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
     Buffer<Hit> hits(device_, pixels, "primary hits");
     GbufferStage<kernel> gbuffer{
@@ -271,7 +279,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .sample = frame.sample,
         .seed = frame.seed,
         .box_filter = box_filter,
-        .camera_moves = covers(Effects(frame.effects), Effects::camera_motion),
+        .camera_moves = covers(effects, Effects::camera_motion),
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
@@ -280,8 +288,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_material_id = integers("material_id"),
         .out_roughness = floats("roughness", 1),
         .out_diffuse_albedo = vectors("diffuse_albedo"),
-        .out_specular_albedo = vectors("specular_albedo"),
-        .out_motion = vectors("motion"),
+        .out_specular_albedo = has_specular ? vectors("specular_albedo") : nullptr,
+        .out_motion = has_motion ? vectors("motion") : nullptr,
     };
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
 

@@ -74,6 +74,7 @@ public:
         std::uint32_t seed = 0;
         int bounces = 0;            // >= 0; 0 is direct light
         std::uint32_t effects = 0;  // bits of Effects: all that the scene has, at least
+        std::uint32_t kernel = 0;   // more that the kernel must cover, to measure what it costs
         PixelFilter pixel_filter = PixelFilter::center;
         Signals signals = Signals::diffuse_specular;
     };
@@ -88,8 +89,12 @@ public:
     // Stages "gbuffer" and "path". The images: "normal" 3, "depth", "depth_gradient" 2, "object_id" (int),
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
-    // "direct" and "indirect"; "specular" is left out where the effects lack it.
+    // "direct" and "indirect". Left out: "specular" and "specular_albedo" where the effects lack specular, "motion" where
+    // nothing moves.
     std::vector<Image> trace(const Frame& frame);
+
+    // What each kernel simulates, from the cheapest on: the first one that covers a frame's effects runs.
+    static std::span<const Effects> kernels();
 
     // rays: [height, width, 8], origin, direction, and the distances between which hits count, in lengths of the
     // direction. Stage "closest": images "distance", infinity where nothing is hit, "instance" and "triangle" (int),

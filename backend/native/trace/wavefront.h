@@ -16,6 +16,10 @@
 
 namespace svgf {
 
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: 80 registers per thread. Eight make
+// the full kernel slower by a fifth, with spills (H200, cornell).
+constexpr int shade_blocks = 6;
+
 // Records as they lie in memory: whole reads of 16 bytes.
 struct alignas(16) PathRecord {
     Vec3 origin;
@@ -64,7 +68,7 @@ struct PathMemory {
 };
 
 struct ExtendStage {
-    static constexpr LaunchShape launch_shape{32, 4, V_TRACE};
+    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
 
     SceneView scene;
     PathMemory memory;
@@ -79,7 +83,7 @@ struct ExtendStage {
 
 template <Effects kernel>
 struct ShadeStage {
-    static constexpr LaunchShape launch_shape{32, 4, V_SHADE};
+    static constexpr LaunchShape launch_shape{32, 4, shade_blocks};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -94,7 +98,8 @@ struct ShadeStage {
         const PathRecord record = load(memory.paths + pixel);
         const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
         Path path{{record.origin, record.direction}, record.throughput, record.diffuse_share, record.pdf};
-        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, load(memory.gathered + pixel), out_paths, out_shadows);
+        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, load(memory.gathered + pixel),
+              out_paths, out_shadows);
     }
 
     SVGF_HD static void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler,
@@ -105,9 +110,11 @@ struct ShadeStage {
         const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
         store(memory.gathered + pixel, {light.emission, 0, light.first, 0, light.second, 0});
         if (goes_on)
-            store(memory.paths + pixel, {path.ray.origin, path.pdf, path.ray.direction, 0, path.throughput, 0, path.diffuse_share, 0});
+            store(memory.paths + pixel, {path.ray.origin, path.pdf, path.ray.direction, 0, path.throughput, 0,
+                                         path.diffuse_share, 0});
         if (shadow.exists())
-            store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, 0, shadow.light, 0, shadow.diffuse_share, 0});
+            store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, 0, shadow.light, 0,
+                                           shadow.diffuse_share, 0});
         out_paths.push_if(goes_on, pixel);
         out_shadows.push_if(shadow.exists(), pixel);
     }
@@ -116,7 +123,7 @@ struct ShadeStage {
 // Vertex 0 of all pixels.
 template <Effects kernel>
 struct FirstShadeStage {
-    static constexpr LaunchShape launch_shape{8, 16, V_SHADE};
+    static constexpr LaunchShape launch_shape{8, 16, shade_blocks};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -136,7 +143,7 @@ struct FirstShadeStage {
 
 // Primary rays where the gbuffer did not trace them.
 struct FirstExtendStage {
-    static constexpr LaunchShape launch_shape{8, 16, V_TRACE};
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
 
     SceneView scene;
     Camera camera;
@@ -152,7 +159,7 @@ struct FirstExtendStage {
 
 template <Effects kernel>
 struct ShadowStage {
-    static constexpr LaunchShape launch_shape{32, 4, V_TRACE};
+    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
 
     PathVertices<kernel> vertices;
     PathMemory memory;

@@ -14,6 +14,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,18 +53,22 @@ def measure_rays(device: Device, scene: Scene, name: str, size: tuple[int, int],
     """All three kinds of rays in one scene; count: launches of each."""
     flat = flatten(scene)
     tracer = device.tracer()
-    uploader = SceneUploader(device, tracer)
-    uploader.upload(flat)
+    SceneUploader(device, tracer).upload(flat)
     triangles = int(sum(len(flat.meshes[mesh].triangles) for mesh in flat.instance_mesh))
-    rng = np.random.default_rng(1)
-    primary = _primary_rays(flat, size, rng)
-    hits = {key: device.to_numpy(image) for key, image in tracer.cast(primary, any_hit=False).items()}
-    bounce, shadow = _secondary_rays(flat, primary, hits, rng)
+    primary, bounce, shadow = _ray_sets(device, tracer, flat, size)
     rows = []
     for kind, rays, any_hit in (("primary", primary, False), ("bounce", bounce, False), ("shadow", shadow, True)):
         times = _stage_times(device, lambda rays=rays, any_hit=any_hit: tracer.cast(rays, any_hit=any_hit), count)
         rows.append(RayTime(name, kind, triangles, rays.shape[0] * rays.shape[1], *times))
     return rows
+
+
+def ray_sets(device: Device, scene: Scene, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Primary, bounce and shadow rays, [H, W, 8] each as ``Tracer.cast`` takes them, relative to the flat scene's origin."""
+    flat = flatten(scene)
+    tracer = device.tracer()
+    SceneUploader(device, tracer).upload(flat)
+    return _ray_sets(device, tracer, flat, size)
 
 
 def measure_cornell(device: Device, size: tuple[int, int], count: int) -> list[RayTime]:
@@ -98,7 +103,7 @@ def measure_updates(device: Device, scene: Scene, deformed: Scene, name: str, co
     triangles = int(sum(len(mesh.triangles) for mesh in scene.meshes))
     tracer = device.tracer()
 
-    def clock(work: Callable[[int], None]) -> RayTime:
+    def clock(work: Callable[[int], None]) -> list[float]:
         times = []
         for index in range(count + 1):
             device.synchronize()
@@ -123,6 +128,15 @@ def measure_updates(device: Device, scene: Scene, deformed: Scene, name: str, co
         "no change": clock(lambda _: uploader.upload(flat_views[-1])),
     }
     return [RayTime(name, what, triangles, 0, statistics.median(t), min(t)) for what, t in measured.items()]
+
+
+def _ray_sets(
+    device: Device, tracer: Any, flat: FlatScene, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    primary = _primary_rays(flat, size, rng)
+    hits = {key: device.to_numpy(image) for key, image in tracer.cast(primary, any_hit=False).items()}
+    return primary, *_secondary_rays(flat, primary, hits, rng)
 
 
 def _stage_times(device: Device, launch: Callable[[], object], count: int) -> tuple[float, float]:
@@ -207,13 +221,46 @@ def _viewed(scene: Scene, distance: float) -> Scene:
     return dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, camera_to_world=to_world))
 
 
-def measure(device: Device, scenes: Sequence[tuple[str, Scene]], size: tuple[int, int], count: int) -> list[RayTime]:
-    """Everything: the generated rooms, ``scenes`` (name, scene), the Cornell box, and updates of the rooms."""
+def measure(
+    device: Device, scenes: Sequence[tuple[str, Scene]], size: tuple[int, int], count: int, mitsuba: bool = False
+) -> list[RayTime]:
+    """Everything: the generated rooms, ``scenes`` (name, scene), the Cornell box, and updates of the rooms. mitsuba: Mitsuba
+    3 on the same rays and box beside it; raises InputError where it is not installed."""
+    if mitsuba:
+        from .mitsuba import measure_box, measure_mesh
     rows = []
     rooms = {name: generated.room(resolution, 1, size) for name, resolution in ROOMS.items()}
     for name, scene in (*rooms.items(), *scenes):
         rows += measure_rays(device, scene, name, size, count)
+        if mitsuba and name in rooms:
+            rows += measure_mesh(scene, name, count, *ray_sets(device, scene, size))
     rows += measure_cornell(device, size, count)
+    if mitsuba:
+        rows += measure_box(size, CORNELL_BOUNCES, count)
     for name, resolution in ROOMS.items():
         rows += measure_updates(device, rooms[name], generated.room(resolution, 2, size), name, min(count, 8))
     return rows
+
+
+def plot(rows: Sequence[RayTime], title: str) -> bytes:
+    """A PNG: 1e9 rays per second of each kind, by scene."""
+    import io
+
+    from matplotlib.figure import Figure
+
+    rows = [row for row in rows if row.rays]
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    kinds = list(dict.fromkeys(row.what for row in rows))
+    figure = Figure(figsize=(2 + 2 * len(scenes), 4), layout="constrained")
+    figure.suptitle(title)
+    axes = figure.add_subplot()
+    for index, kind in enumerate(kinds):
+        mine = {row.scene: row.gigarays for row in rows if row.what == kind}
+        places = np.array([scenes.index(scene) for scene in mine]) + (index - (len(kinds) - 1) / 2) * 0.8 / len(kinds)
+        axes.bar_label(axes.bar(places, list(mine.values()), 0.75 / len(kinds), label=kind), fmt="%.2f", fontsize="small")
+    axes.set_xticks(range(len(scenes)), scenes)
+    axes.set_ylabel("1e9 rays per second")
+    axes.legend()
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=110)
+    return data.getvalue()
