@@ -45,7 +45,7 @@ def brute_force(flat, rays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("kind", ["primary", "bounce", "shadow"])
 def test_rays_find_what_brute_force_finds(device, kind):
     """A room of 540 triangles and its lamp. Rays along edges may go to either side: at most 1 in 200."""
-    scene = generated.room(3, 1, SIZE)
+    scene = generated.room(3, None, SIZE)
     tracer, flat = tracer_of(device, scene)
     rays = dict(zip(("primary", "bounce", "shadow"), ray_sets(open_device("reference"), scene, SIZE)))[kind]
     distance, instance, triangle = (image.reshape(SIZE[::-1]) for image in brute_force(flat, rays))
@@ -77,7 +77,7 @@ def test_distances_count_in_lengths_of_the_direction(device):
 
 
 def test_generated_scenes_are_as_large_and_as_closed_as_they_say(device):
-    scene = generated.room(18, 1, SIZE)
+    scene = generated.room(18, None, SIZE)
     assert len(scene.meshes[0].triangles) == 60 * 18**2
     if device.name == "reference":
         return

@@ -214,6 +214,14 @@ std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, Host
     return std::make_shared<Mesh>(device, arrays);
 }
 
+bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArray<float> normals,
+                HostArray<float> previous_positions) {
+    const Mesh::Arrays arrays{.positions = span_of(positions), .triangles = {}, .normals = span_of(normals), .uvs = {},
+                              .material_slots = {}, .previous_positions = span_of(previous_positions)};
+    nb::gil_scoped_release release;
+    return mesh.refit(device, arrays);
+}
+
 std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
                                       int interpolation, int extension) {
     if (pixels.ndim() != 3 || pixels.shape(2) != 4) throw InputError("A texture's pixels must be [H, W, 4].");
@@ -443,6 +451,7 @@ NB_MODULE(SVGF_MODULE, module) {
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
              "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
+        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a)
         .def_prop_ro("bytes", &Mesh::bytes);
 
     nb::class_<Texture>(module, "Texture")

@@ -67,24 +67,30 @@ class SceneUploader:
         last = self.last
         return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
 
-    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any], Any]) -> Any:
-        """Brings the cache to exactly `wanted`. Returns None if it held that already."""
+    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]) -> Any:
+        """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns None if the
+        cache held just that already."""
         keys = {id(source) for source in wanted}
         if keys == cache.keys():
             return None
-        for key in cache.keys() - keys:
-            del cache[key]
+        retired = [cache.pop(key) for key in cache.keys() - keys]
         for source in wanted:
             if id(source) not in cache:
-                cache[id(source)] = (source, make(source))
+                cache[id(source)] = (source, make(source, retired))
         return cache
 
-    def _new_mesh(self, mesh: Mesh) -> Any:
+    def _new_mesh(self, mesh: Mesh, retired: list[tuple[Mesh, Any]]) -> Any:
+        for index, (last, native) in enumerate(retired):
+            if _deforms_into(last, mesh):
+                del retired[index]
+                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions):
+                    return native
+                break
         return self._device.mesh(
             mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
         )
 
-    def _new_texture(self, texture: Texture) -> Any:
+    def _new_texture(self, texture: Texture, _: list[tuple[Texture, Any]]) -> Any:
         return self._device.texture(texture.pixels, texture.srgb, int(texture.interpolation), int(texture.extension))
 
 
@@ -92,6 +98,17 @@ TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_wo
 INSTANCE_FIELDS = ("instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table")
 LIGHT_FIELDS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale", "world_radiance")
 CAMERA_FIELDS = ("camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip")
+
+
+def _deforms_into(last: Mesh, mesh: Mesh) -> bool:
+    """Whether two meshes differ in nothing but where their vertices are, and move."""
+    return (
+        last.name == mesh.name
+        and last.previous_positions is not None
+        and mesh.previous_positions is not None
+        and last.positions.shape == mesh.positions.shape
+        and all(_same(getattr(last, name), getattr(mesh, name)) for name in ("triangles", "material_slots", "uvs"))
+    )
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ..scene import Camera, Instances, Material, Mesh, RenderDefaults, Scene
@@ -12,27 +14,18 @@ _ROOM = np.array([5.0, 4.0, 2.5])  # half its size, metres
 DIFFUSE = {"specular_ior_level": 0.0, "ior": 1.0}
 
 
-def room(resolution: int, frame: int = 1, size: tuple[int, int] = (1920, 1080)) -> Scene:
+def room(resolution: int, frame: int | None = None, size: tuple[int, int] = (1920, 1080)) -> Scene:
     """A closed room with bumpy walls and 24 bumpy balls in it, so that every ray hits and rays pass close by much that
     they miss. The camera stands in a corner. One mesh of 60 * resolution**2 triangles: 18 makes 19,440, 128 makes 983,040.
 
-    frame: the bumps of the balls move from frame to frame, with the same triangles.
+    frame: the bumps of the balls move from frame to frame, with the same triangles; None: they stand still.
     """
-    positions, triangles = [], []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            positions.append(_wall(axis, side, resolution))
-            triangles.append(_grid_triangles(resolution, resolution))
-    rng = np.random.default_rng(7)
-    for index in range(_BALLS):
-        centre = rng.uniform(-1.0, 1.0, 3) * (_ROOM - 0.9)
-        radius = rng.uniform(0.3, 0.6)
-        # The camera's corner stays free.
-        centre[:2] = np.where(centre[:2] < -_ROOM[:2] + 2.0, -centre[:2], centre[:2])
-        positions.append(centre + radius * _ball(resolution, index + 0.1 * (frame - 1)))
-        triangles.append(_grid_triangles(resolution, resolution))
-    starts = np.cumsum([0] + [len(part) for part in positions[:-1]])
-    mesh = _mesh("room", np.concatenate(positions), np.concatenate([t + s for t, s in zip(triangles, starts)]))
+    part = _grid_triangles(resolution, resolution)
+    starts = np.arange(6 + _BALLS) * (resolution + 1) ** 2
+    mesh = _mesh("room", _room_positions(resolution, frame or 0), np.concatenate([part + start for start in starts]))
+    if frame is not None:
+        before = _room_positions(resolution, frame - 1).astype(np.float32)
+        mesh = dataclasses.replace(mesh, previous_positions=before)
     right = 0.8
     top = right * size[1] / size[0]
     camera = Camera(_look_at(-_ROOM + (0.6, 0.6, 1.2), (0.5, 0.5, -0.3)), (-right, right, -top, top))
@@ -42,7 +35,19 @@ def room(resolution: int, frame: int = 1, size: tuple[int, int] = (1920, 1080)) 
         Material("walls", base_color=(0.7, 0.7, 0.7), **DIFFUSE),
         Material("lamp", base_color=(0.0, 0.0, 0.0), emission=(8.0, 8.0, 8.0), **DIFFUSE),
     )
-    return _scene("room", (mesh, light), materials, camera, size, frame)
+    return _scene("room", (mesh, light), materials, camera, size, frame or 1)
+
+
+def _room_positions(resolution: int, frame: int) -> np.ndarray:
+    parts = [_wall(axis, side, resolution) for axis in range(3) for side in (-1.0, 1.0)]
+    rng = np.random.default_rng(7)
+    for index in range(_BALLS):
+        centre = rng.uniform(-1.0, 1.0, 3) * (_ROOM - 0.9)
+        radius = rng.uniform(0.3, 0.6)
+        # The camera's corner stays free.
+        centre[:2] = np.where(centre[:2] < -_ROOM[:2] + 2.0, -centre[:2], centre[:2])
+        parts.append(centre + radius * _ball(resolution, index + 0.1 * frame))
+    return np.concatenate(parts)
 
 
 def _wall(axis: int, side: float, resolution: int) -> np.ndarray:

@@ -30,6 +30,10 @@ class Mesh:
         solid = self.corners[self.solid]
         self.hierarchy = Hierarchy(solid.min(axis=1), solid.max(axis=1), leaf_size=4)
 
+    def refit(self, device, positions, normals, previous_positions) -> bool:
+        """The reference makes meshes anew."""
+        return False
+
 
 class Shapes(Geometry):
     """Instances of meshes with all that is read at a hit. Arrays: see FlatScene."""
