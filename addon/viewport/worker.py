@@ -207,7 +207,7 @@ class Worker:
         """Without a denoiser, the mean of all frames since the view came to rest is the picture."""
         color = frame.color.astype(np.float64)
         self._mean = color if samples == 1 else self._mean + (color - self._mean) / samples
-        return replace(frame, color=self._mean.astype(np.float32))
+        return frame.with_color(self._mean.astype(np.float32))
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""

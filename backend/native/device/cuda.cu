@@ -180,7 +180,8 @@ std::vector<std::pair<std::string, double>> Device::take_timings(bool by_launch)
         free_events_.push_back(span.end);
         const std::string_view launch = span.name;
         const std::string_view stage = by_launch ? launch : launch.substr(0, launch.find(' '));
-        const auto known = std::find_if(timings.begin(), timings.end(), [&](const auto& row) { return row.first == stage; });
+        const auto known =
+            std::find_if(timings.begin(), timings.end(), [&](const auto& row) { return row.first == stage; });
         if (known != timings.end())
             known->second += milliseconds;
         else

@@ -50,7 +50,8 @@ struct GbufferStage {
     float* out_roughness;
     Vec3* out_diffuse_albedo;
     Vec3* out_specular_albedo;  // null: nothing is specular
-    Vec3* out_motion;           // null: nothing moves; previous position minus this one in pixels, previous depth minus this one
+    // Previous position minus this one in pixels, previous depth minus this one; null: nothing moves.
+    Vec3* out_motion;
 
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;

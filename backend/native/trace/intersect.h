@@ -260,7 +260,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
             const std::uint32_t before = group.bits & ((1u << slot) - 1) & 0xffu;
             const std::uint32_t child = group.first + std::uint32_t(count_set_bits(before));
             if (group.has_nodes()) stack[stack_size++] = group;
-            const WideNode node = load(nodes + child);
+            const WideNode& node = load(nodes + child);
             const std::uint32_t mask = intersect_children(node, box_ray, ray.t_min, t_max);
             group = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
             primitives = {node.first_primitive, mask & 0x00ffffffu};
@@ -276,7 +276,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
                 if (primitives.bits) stack[stack_size++] = primitives;
                 instance_floor = stack_size;
                 instance = scene.instance_order[i];
-                const Instance placed = load(scene.instances + instance);
+                const Instance& placed = load(scene.instances + instance);
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
                 const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
@@ -292,7 +292,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
                 stack[stack_size++] = primitives;
                 break;
             }
-            const LeafTriangle triangle = load(triangles + i);
+            const LeafTriangle& triangle = load(triangles + i);
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;

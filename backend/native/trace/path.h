@@ -122,7 +122,8 @@ private:
         }
     }
 
-    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, int vertex, Gathered& light) const {
+    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, int vertex,
+                              Gathered& light) const {
         const Vec3 emission = surface.material.emission;
         if (vertex == 0) {
             light.emission = emission;

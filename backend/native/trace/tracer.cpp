@@ -242,7 +242,8 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.samples >= 1 && frame.bounces >= 0, "There must be at least one sample, and no negative bounces.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
-    return with_kernel(Effects(frame.effects) | Effects(frame.kernel), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
+    return with_kernel(Effects(frame.effects) | Effects(frame.kernel),
+                       [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 
 template <Effects kernel>
@@ -347,7 +348,8 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
     for (int i = 0; i < frame.samples; ++i, ++sample) {
         counts.clear();
         if (i > 0 && box_filter) {
-            device_.launch("path first", width, height, FirstExtendStage{scene_, camera_, sample, frame.seed, hits.data()});
+            device_.launch("path extend", width, height,
+                           FirstExtendStage{scene_, camera_, sample, frame.seed, hits.data()});
             first_hits = hits.data();
         }
         device_.launch("path shade", width, height,

@@ -152,7 +152,7 @@ def rays(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rays per second in generated rooms, a Cornell box at three depths, and what builds and updates of a scene cost."""
+    """Rays per second in generated rooms, a Cornell box at three depths, and what scenes cost to build and update."""
     from ..bench.rays import measure, plot
     from ..devices import open_device
 
@@ -178,7 +178,8 @@ def rays(
 @app.command()
 def effects(
     files: Annotated[
-        list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
+        list[Path] | None,
+        typer.Argument(help="Scenes; Mitsuba's Cornell box and those that come with svgf by default.", show_default=False),
     ] = None,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1920x1080",
     device: DeviceOption = "auto",
@@ -194,18 +195,20 @@ def effects(
 ) -> None:
     """What each effect of a scene costs, and what the kernel that simulates everything would."""
     from ..bench.effects import measure, plot
+    from ..bench.generated import cornell_box
     from ..devices import open_device
     from .progress import progress_bar
 
     image_size = parse_size(size)
     opened = open_device(device)
-    paths = _paths(files)
+    # The second frame: what moves in the scene has moved.
+    scenes = [(path.stem, _read(path, image_size, 2)[0][-1]) for path in _paths(files)]
+    if not files:
+        scenes.insert(0, ("cornell_box", cornell_box(image_size)))
     rows = []
-    with progress_bar("Measuring", len(paths)) as bar:
-        for path in paths:
-            # The second frame: what moves in the scene has moved.
-            scene = _read(path, image_size, 2)[0][-1]
-            rows += measure(opened, path.stem, scene, image_size, bounces, count)
+    with progress_bar("Measuring", len(scenes)) as bar:
+        for name, scene in scenes:
+            rows += measure(opened, name, scene, image_size, bounces, count)
             bar.step()
     title = f"{opened.description} ({opened.name}), {size}, 1 sample per pixel: medians of {count} frames"
     _write(rows, csv_file, plot_file, lambda: plot(rows, title))
