@@ -8,8 +8,17 @@
 #define SVGF_HD
 #endif
 
+// For what is called from several places of a large kernel: its instructions must fit the instruction cache.
+#if defined(__CUDACC__)
+#define SVGF_NOINLINE __noinline__
+#else
+#define SVGF_NOINLINE
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define SVGF_UNROLL _Pragma("unroll")
+#define SVGF_NO_UNROLL _Pragma("unroll 1")
 #else
 #define SVGF_UNROLL
+#define SVGF_NO_UNROLL
 #endif

@@ -80,7 +80,7 @@ bool Mesh::refit(Device& device, const Arrays& arrays) {
                   RefitLeftOutStage{refit_->left_out.data(), refit_->vertices.data(), positions.data(), changed.data()});
     if (changed.download()[0] > 0) return false;
     const RefitResult result = refit_nodes(device, *refit_);
-    bounds_ = result.bounds;
+    set_bounds(result.bounds);
     // Where the mesh has left its centre, its coordinates would lose their digits.
     return result.cost <= largest_growth * refit_->built_cost && is_centred(bounds_);
 }

@@ -19,7 +19,7 @@ from ..devices import Device
 from ..effects import Effects, find_effects
 from ..flatten import flatten
 from ..renderer import SceneUploader
-from ..scene import LightKind, Material, Scene, World
+from ..scene import LightKind, Material, MaterialKind, Scene, World
 
 FULL_KERNEL = "full kernel"
 
@@ -90,10 +90,35 @@ def _compare(scene: str, what: str, on: _Run, off: _Run, count: int) -> EffectCo
     return EffectCost(scene, what, on_ms, off_ms, on.bytes_per_pixel, off.bytes_per_pixel)
 
 
-def _materials(scene: Scene, **changes: Any) -> Scene:
-    return dataclasses.replace(
-        scene, materials=tuple(dataclasses.replace(material, **changes) for material in scene.materials)
+def _materials(scene: Scene, kinds: tuple[MaterialKind, ...] = (), **constants: Any) -> Scene:
+    """All materials with these constants in place of whatever they had, and those of these kinds as DIFFUSE."""
+
+    def changed(material: Material) -> Material:
+        maps = {name: texture for name, texture in material.maps.items() if name not in constants}
+        kind = MaterialKind.DIFFUSE if material.kind in kinds else material.kind
+        return dataclasses.replace(material, kind=kind, maps=maps, **constants)
+
+    return dataclasses.replace(scene, materials=tuple(map(changed, scene.materials)))
+
+
+def _without_maps(scene: Scene, *names: str) -> Scene:
+    """Without the maps of these inputs; of all, if none is named."""
+    materials = tuple(
+        dataclasses.replace(
+            material, maps={name: texture for name, texture in material.maps.items() if names and name not in names}
+        )
+        for material in scene.materials
     )
+    return dataclasses.replace(scene, materials=materials)
+
+
+def _without_mixes(scene: Scene) -> Scene:
+    """Each mix is its first part."""
+
+    def part(material: Material) -> Material:
+        return part(scene.materials[material.first]) if material.is_mix else material
+
+    return dataclasses.replace(scene, materials=tuple(map(part, scene.materials)))
 
 
 def _without_lamps(scene: Scene, sized: bool) -> Scene:
@@ -113,10 +138,27 @@ def _without_deformation(scene: Scene) -> Scene:
 
 
 WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
-    Effects.TEXTURES: lambda scene: _materials(scene, base_color_texture=Material().base_color_texture),
-    Effects.SPECULAR: lambda scene: _materials(scene, metallic=0.0, transmission=0.0, specular_ior_level=0.0),
-    Effects.TRANSMISSION: lambda scene: _materials(scene, transmission=0.0),
+    Effects.TEXTURES: _without_maps,
+    Effects.SPECULAR: lambda scene: _materials(
+        scene,
+        (MaterialKind.GLOSSY, MaterialKind.GLASS, MaterialKind.REFRACTION),
+        metallic=0.0,
+        transmission=0.0,
+        specular_ior_level=0.0,
+        coat_weight=0.0,
+        sheen_weight=0.0,
+        diffuse_roughness=0.0,
+    ),
+    Effects.TRANSMISSION: lambda scene: _materials(
+        scene, (MaterialKind.GLASS, MaterialKind.REFRACTION, MaterialKind.TRANSLUCENT), transmission=0.0
+    ),
     Effects.MESH_LIGHTS: lambda scene: _materials(scene, emission=(0.0, 0.0, 0.0)),
+    Effects.ALPHA: lambda scene: _materials(scene, (MaterialKind.TRANSPARENT,), alpha=1.0),
+    Effects.NORMAL_MAPS: lambda scene: _without_maps(scene, "normal"),
+    Effects.COAT: lambda scene: _materials(scene, coat_weight=0.0),
+    Effects.SHEEN: lambda scene: _materials(scene, sheen_weight=0.0),
+    Effects.ANISOTROPY: lambda scene: _materials(scene, anisotropic=0.0),
+    Effects.MATERIAL_MIXES: _without_mixes,
     Effects.DELTA_LIGHTS: lambda scene: _without_lamps(scene, sized=False),
     Effects.AREA_LIGHTS: lambda scene: _without_lamps(scene, sized=True),
     Effects.ENVIRONMENT: lambda scene: dataclasses.replace(scene, world=World()),
