@@ -210,7 +210,7 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
 }
 
 // Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers per
-// thread, without spills.
+// thread.
 constexpr int trace_blocks = 7;
 
 // --- Traversal -------------------------------------------------------------------------------------------------------
