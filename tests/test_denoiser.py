@@ -422,3 +422,93 @@ def test_gpu_arrays_are_refused_on_the_cpu():
     cupy = pytest.importorskip("cupy")
     with pytest.raises(InputError, match='device="cuda"'):
         Denoiser(WIDTH, HEIGHT, "cpu").denoise({name: cupy.asarray(image) for name, image in make_frame().items()})
+
+
+# --- Streams ---------------------------------------------------------------------------------------------------------
+
+
+class _Stream:
+    """A stream of a library that follows the protocol."""
+
+    def __init__(self, address):
+        self.address = address
+
+    def __cuda_stream__(self):
+        return 0, self.address
+
+
+@pytest.mark.gpu
+def test_a_frame_runs_on_the_caller_s_stream():
+    """The inputs are still being made on the stream when the frame is queued, and are overwritten right after it."""
+    cupy = pytest.importorskip("cupy")
+    rng = np.random.default_rng(13)
+    height, width = 270, 480
+    frames = [add_noise(make_frame(height, width), rng) for _ in range(6)]
+    on_host = Denoiser(width, height, "cuda")
+    expected = [on_host.denoise(frame)["color"] for frame in frames]
+    stream = cupy.cuda.Stream(non_blocking=True)
+    delay = cupy.RawKernel(
+        'extern "C" __global__ void delay(long long n) { long long t = clock64(); while (clock64() - t < n); }', "delay"
+    )
+    for handle in (stream, stream.ptr, _Stream(stream.ptr)):
+        denoiser = Denoiser(width, height, "cuda")
+        with stream:
+            source = [{name: cupy.asarray(image) for name, image in frame.items()} for frame in frames]
+            inputs = {name: cupy.zeros_like(image) for name, image in source[0].items()}
+            colors = []
+            for frame in source:
+                delay((1,), (1,), (2_000_000,))  # a millisecond
+                for name, image in frame.items():
+                    inputs[name][...] = image
+                result = denoiser.denoise(inputs, stream=handle)
+                for image in inputs.values():
+                    image.fill(0)
+                colors.append(result["color"] * 1.0)
+        stream.synchronize()
+        for color, right in zip(colors, expected, strict=True):
+            np.testing.assert_array_equal(color.get(), right)
+        assert denoiser.repaired == 0
+
+
+@pytest.mark.gpu
+def test_frames_on_several_streams_come_one_after_the_other():
+    cupy = pytest.importorskip("cupy")
+    rng = np.random.default_rng(14)
+    frames = [add_noise(make_frame(), rng) for _ in range(8)]
+    on_host, denoiser = Denoiser(WIDTH, HEIGHT, "cuda"), Denoiser(WIDTH, HEIGHT, "cuda")
+    streams = [cupy.cuda.Stream(non_blocking=True) for _ in range(3)]
+    for index, frame in enumerate(frames):
+        stream = streams[index % 3] if index % 4 else None  # the device's own in between
+        with stream or cupy.cuda.Stream.null:
+            result = denoiser.denoise({name: cupy.asarray(image) for name, image in frame.items()}, stream=stream)
+            actual = result["color"].get()
+        np.testing.assert_array_equal(actual, on_host.denoise(frame)["color"])
+
+
+@pytest.mark.gpu
+def test_torch_streams_are_taken():
+    torch = pytest.importorskip("torch")
+    rng = np.random.default_rng(15)
+    on_host, denoiser = Denoiser(WIDTH, HEIGHT, "cuda"), Denoiser(WIDTH, HEIGHT, "cuda")
+    stream = torch.cuda.Stream()
+    for _ in range(3):
+        frame = add_noise(make_frame(), rng)
+        with torch.cuda.stream(stream):
+            inputs = {name: torch.from_numpy(image).cuda(non_blocking=True) for name, image in frame.items()}
+            color = denoiser.denoise(inputs, stream=stream)["color"]
+            assert isinstance(color, torch.Tensor)
+            actual = (color + 0.0).cpu().numpy()
+        np.testing.assert_array_equal(actual, on_host.denoise(frame)["color"])
+
+
+@pytest.mark.parametrize("stream", [1, _Stream(7)])
+def test_streams_are_for_the_gpu(stream):
+    with pytest.raises(InputError, match='runs on "cpu".*device="cuda"'):
+        Denoiser(WIDTH, HEIGHT, "cpu").denoise(make_frame(), stream=stream)
+
+
+@pytest.mark.gpu
+def test_streams_are_checked():
+    pytest.importorskip("cupy")
+    with pytest.raises(InputError, match="The stream is a str"):
+        Denoiser(WIDTH, HEIGHT, "cuda").denoise(make_frame(), stream="fast")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects
-from svgf.flatten import AREA_LAMP_RADIANCE
+from svgf.flat_lights import AREA_LAMP_RADIANCE
 from svgf.reference.bsdf import evaluate
 from svgf.scene import Light, LightKind, Material, World
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 
 from svgf.devices import Device
@@ -28,6 +30,8 @@ def trace(device: Device, scene: Scene, width: int = WIDTH, height: int = HEIGHT
     tracer = device.tracer()
     flat = flatten(scene)
     SceneUploader(device, tracer).upload(flat)
+    defaults["light_paths"] = astuple(scene.defaults.light_paths)
+    defaults["transparent_film"] = scene.defaults.transparent_film
     images = tracer.trace(width, height, **{**defaults, "effects": int(flat.effects), **settings})
     images = {name: device.to_numpy(image) for name, image in images.items()}
     for name in ("specular_albedo", "motion"):

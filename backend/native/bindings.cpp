@@ -19,6 +19,7 @@
 #include <variant>
 
 #include "denoise/denoiser.h"
+#include "device/bandwidth.h"
 #include "device/device.h"
 #include "trace/tracer.h"
 
@@ -71,9 +72,12 @@ struct DeviceImage {
     }
 };
 
-// The capsule keeps the image alive, and with it the device. Order with other streams: see device/cuda.h.
-nb::object dlpack_capsule(nb::handle self, nb::args, nb::kwargs) {
+// The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
+// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted); it is made to wait for the image.
+nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
     auto& image = nb::cast<DeviceImage&>(self);
+    if (stream.value_or(1) != -1)
+        std::visit([&](auto& buffer) { buffer.device().let_wait(uintptr_t(stream.value_or(1))); }, image.pixels);
     const size_t shape[3] = {size_t(image.height), size_t(image.width), size_t(image.channels)};
     return std::visit(
         [&](auto& buffer) {
@@ -238,27 +242,56 @@ std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_
 void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, HostArray<int32_t> instance_mesh,
                    HostArray<float> object_to_world, HostArray<float> world_to_object,
                    HostArray<float> previous_object_to_world, HostArray<int32_t> object_id,
-                   HostArray<int32_t> material_start, HostArray<int32_t> material_table) {
+                   HostArray<int32_t> material_start, HostArray<int32_t> material_table, HostArray<uint8_t> visibility,
+                   HostArray<int32_t> emitter) {
     const Tracer::Instances instances{span_of(instance_mesh),   span_of(object_to_world), span_of(world_to_object),
                                       span_of(previous_object_to_world), span_of(object_id), span_of(material_start),
-                                      span_of(material_table)};
+                                      span_of(material_table), span_of(visibility), span_of(emitter)};
     nb::gil_scoped_release release;
     tracer.set_instances(std::move(meshes), instances);
 }
 
-void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<float> probability,
-                HostArray<float> cdf, float triangle_light_scale, HostArray<float> world_radiance) {
-    const auto world = fixed_span<3>(world_radiance, "world_radiance");
-    tracer.set_lights({span_of(kind), span_of(data), span_of(probability), span_of(cdf), triangle_light_scale,
-                       {world[0], world[1], world[2]}});
+void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<uint8_t> visibility,
+                HostArray<float> probability, HostArray<float> cdf, HostArray<float> tree,
+                HostArray<int32_t> light_of_leaf, HostArray<int32_t> emitters, HostArray<int32_t> light_of_triangle,
+                HostArray<int32_t> emission_map, HostArray<float> emission_maps) {
+    tracer.set_lights({span_of(kind), span_of(data), span_of(visibility), span_of(probability), span_of(cdf),
+                       span_of(tree), span_of(light_of_leaf), span_of(emitters), span_of(light_of_triangle),
+                       span_of(emission_map), span_of(emission_maps)});
+}
+
+void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
+               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf) {
+    const auto color = fixed_span<3>(radiance, "world_radiance");
+    const auto rotation = fixed_span<9>(to_environment, "world_to_environment");
+    Tracer::World world{.radiance = {color[0], color[1], color[2]},
+                        .visibility = visibility,
+                        .texture = texture,
+                        .light = light,
+                        .row_cdf = span_of(row_cdf),
+                        .column_cdf = span_of(column_cdf)};
+    std::copy(rotation.begin(), rotation.end(), world.to_environment.begin());
+    world.rows = std::max(int(row_cdf.size()) - 1, 0);
+    world.columns = world.rows ? int(column_cdf.size()) / world.rows - 1 : 0;
+    tracer.set_world(world);
 }
 
 void set_camera(Tracer& tracer, HostArray<float> camera_to_world, HostArray<float> previous_camera_to_world,
-                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip) {
+                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip, HostArray<float> lens,
+                HostArray<float> previous_lens) {
     tracer.set_camera({fixed_span<12>(camera_to_world, "camera_to_world"),
                        fixed_span<12>(previous_camera_to_world, "previous_camera_to_world"),
                        fixed_span<4>(window, "window"), fixed_span<4>(previous_window, "previous_window"),
-                       fixed_span<2>(clip, "clip")});
+                       fixed_span<2>(clip, "clip"), fixed_span<6>(lens, "lens"),
+                       fixed_span<6>(previous_lens, "previous_lens")});
+}
+
+// values: the fields of svgf.LightPaths in their order; none: no limits.
+LightPaths read_light_paths(int bounces, const std::vector<double>& values) {
+    if (values.empty()) return {.bounces = bounces};
+    if (values.size() != 9) throw InputError("light_paths must have 9 values.");
+    return {bounces, int(values[0]), int(values[1]), int(values[2]), int(values[3]), values[4] != 0, values[5] != 0,
+            float(values[6]), float(values[7]), float(values[8])};
 }
 
 template <class Choice>
@@ -272,14 +305,16 @@ Choice choose(const std::string& value, const char* what, std::initializer_list<
 }
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
-               uint32_t effects, const std::string& pixel_filter, const std::string& signals, uint32_t kernel) {
+               uint32_t effects, const std::string& pixel_filter, const std::string& signals,
+               const std::vector<double>& light_paths, bool transparent_film, uint32_t kernel) {
     const Tracer::Frame frame{
         .width = width,
         .height = height,
         .sample = sample,
         .samples = samples,
         .seed = seed,
-        .bounces = bounces,
+        .light_paths = read_light_paths(bounces, light_paths),
+        .transparent_film = transparent_film,
         .effects = effects,
         .kernel = kernel,
         .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
@@ -315,6 +350,25 @@ nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
     return result;
 }
 
+// --- Device ----------------------------------------------------------------------------------------------------------
+
+// A numpy image, float32 or int32 [H, W] or [H, W, C], as this device's tracers and denoisers return theirs.
+nb::object upload(Device& device, nb::object image) {
+#if defined(SVGF_CUDA)
+    const auto convert = [&]<class Value>(const HostArray<Value>& array) {
+        if (array.ndim() < 2 || array.ndim() > 3) throw InputError("An image has two or three dimensions.");
+        return give_image(Buffer<Value>(device, span_of(array), "an input image"), int(array.shape(1)),
+                          int(array.shape(0)), array.ndim() == 3 ? int(array.shape(2)) : 1);
+    };
+    HostArray<int32_t> ids;
+    if (nb::try_cast(image, ids, false)) return convert(ids);
+    return convert(nb::cast<HostArray<float>>(image));
+#else
+    (void)device;
+    return image;
+#endif
+}
+
 // --- Denoiser --------------------------------------------------------------------------------------------------------
 
 DenoiseSettings read_settings(const nb::dict& values) {
@@ -334,7 +388,7 @@ Vec4 read_window(const nb::dict& images) {
     return {float(window[0]), float(window[1]), float(window[2]), float(window[3])};
 }
 
-nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
+nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -342,6 +396,8 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset) {
     ImageReader reader(device, images, width, height);
     DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
     inputs.window = read_window(images);
+    denoiser.prepare(inputs.signals);  // on the device's own stream, which outlives the caller's
+    const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
     Buffer<float> variance(device, pixels, "the variance image"), history_length(device, pixels, "the history image");
     {
@@ -434,11 +490,14 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
-        .def("to_numpy", &to_numpy, "image"_a);
+        .def("to_numpy", &to_numpy, "image"_a)
+        .def("upload", &upload, "image"_a)
+        .def("copy_bandwidth", &measure_copy_bandwidth, "bytes"_a, "repetitions"_a,
+             nb::call_guard<nb::gil_scoped_release>());
 
 #if defined(SVGF_CUDA)
     nb::class_<DeviceImage>(module, "DeviceImage")
-        .def("__dlpack__", &dlpack_capsule)
+        .def("__dlpack__", &dlpack_capsule, nb::kw_only(), "stream"_a = nb::none(), "kwargs"_a)
         .def("__dlpack_device__", [](const DeviceImage& image) {
             return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); }, image.pixels);
         })
@@ -461,7 +520,8 @@ NB_MODULE(SVGF_MODULE, module) {
     // Tracer and Denoiser keep the device alive: it is used when they run, and by their buffers until they are gone.
     nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
         .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
-             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a)
+             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a, "visibility"_a,
+             "emitter"_a)
         .def("set_materials", [](Tracer& tracer, HostArray<float> materials, HostArray<float> material_maps,
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
@@ -469,12 +529,16 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
             tracer.set_albedo_tables(span_of(tables));
         }, "tables"_a)
-        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
-             "triangle_light_scale"_a, "world_radiance"_a)
+        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
+             "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
+             "emission_maps"_a)
+        .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
+             "row_cdf"_a, "column_cdf"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
-             "previous_window"_a, "clip"_a)
+             "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a, "kernel"_a = 0)
+             "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false,
+             "kernel"_a = 0)
         .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
 
     nb::class_<Denoiser>(module, "Denoiser")
@@ -484,12 +548,17 @@ NB_MODULE(SVGF_MODULE, module) {
             if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
-        .def("denoise", &denoise, "inputs"_a, "reset"_a)
+        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none())
         .def("set_settings", [](Denoiser& denoiser, const nb::dict& settings) {
             denoiser.set_settings(read_settings(settings));
         }, "settings"_a)
         .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
         .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("traffic", [](const Denoiser& denoiser) {
+            nb::dict result;
+            for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;
+            return result;
+        }, "Bytes that each stage of the last frame had to move at least.")
         .def("buffers", [](const Denoiser& denoiser) {
             std::vector<std::pair<std::string, size_t>> buffers;
             for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);

@@ -42,6 +42,7 @@ _IMAGES = {
 _IGNORED = frozenset({"roughness", "material_id"})
 
 _DLPACK_HOST = (1, 3)  # kDLCPU, kDLCUDAHost
+_LEGACY_STREAM = 1
 
 
 class Denoiser:
@@ -92,7 +93,17 @@ class Denoiser:
         """The next frame starts without history, as after a camera cut."""
         self._next_reset = reason
 
-    def denoise(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    @property
+    def buffers(self) -> dict[str, int]:
+        """Bytes of each piece of memory that is kept between frames. The results' are the caller's."""
+        return dict(self._native.buffers())
+
+    @property
+    def repaired(self) -> int:
+        """How many values of the last frame were NaN, infinite or out of range. Waits for the device."""
+        return int(self._native.repaired())
+
+    def denoise(self, inputs: Mapping[str, Any], stream: Any = None) -> dict[str, Any]:
         """Denoises the next frame.
 
         inputs: images by name, float32 [H, W, C], row 0 on top; numpy arrays, or arrays of any library that knows
@@ -110,25 +121,39 @@ class Denoiser:
           default camera.
 
         Returns images of the same library, float32: "color" [H, W, 3]; "variance" [H, W] of luminance that the filter
-        left (svgf; else 0); "history_length" [H, W] in frames, 0 on the background; and "repaired", the number of
-        values that were NaN, infinite or out of range, as an int. Bad values do no harm to pixels around them.
+        left (svgf; else 0); "history_length" [H, W] in frames, 0 on the background; and for arrays on the host
+        "repaired", as the property of this name, which costs the wait that arrays on the GPU are spared. Bad values do
+        no harm to pixels around them.
+
+        stream (device "cuda"): the CUDA stream to work on, as a cupy.cuda.Stream, a torch.cuda.Stream, anything else
+        with ``__cuda_stream__``, or the address as an int (1: the legacy default stream). The call returns once the
+        frame is queued there; inputs may be results that the stream has yet to compute, and the results may be used on
+        it at once. Memory of results that are dropped serves later frames on the same stream. Without it a stream of the device's own is used, which keeps order
+        with the legacy default one, on which CuPy and PyTorch work unless told otherwise. Either way arrays of other
+        streams are waited for as DLPack says. Frames on different streams come one after the other.
 
         Raises InputError naming the image and the remedy, DeviceError, Interrupted; after them history starts afresh.
         """
         arrays = self._check(inputs)
+        on_stream = {}
+        if stream is not None:
+            on_stream = {"stream": _stream_address(stream, self.device.name)}
+        for name, array in arrays.items():
+            if self.device.name == "cuda" and _dlpack_device(array) not in _DLPACK_HOST:
+                arrays[name] = array.__dlpack__(stream=on_stream.get("stream", _LEGACY_STREAM))
         signals = [name for name in SIGNAL_ALBEDOS if name in arrays]
         if not self._next_reset and signals != self._signals:
             self._next_reset = "the signals changed"
         try:
-            result = self._native.denoise(arrays, reset=bool(self._next_reset))
-            repaired = int(self._native.repaired())
+            result = self._native.denoise(arrays, reset=bool(self._next_reset), **on_stream)
+            repaired = {"repaired": self.repaired} if _dlpack_device(inputs[signals[0]]) in _DLPACK_HOST else {}
         except BaseException:
             self._next_reset = "the last frame was not finished"
             raise
         self._signals = signals
         self._last_reset, self._next_reset = self._next_reset, ""
         from_native = self._converter(inputs[signals[0]])
-        return {**{name: from_native(image) for name, image in result.items()}, "repaired": repaired}
+        return {**{name: from_native(image) for name, image in result.items()}, **repaired}
 
     def _check(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         for name in inputs:
@@ -217,6 +242,23 @@ class Denoiser:
 def _split(signal: str) -> int:
     """Which way of splitting light a signal belongs to."""
     return ("diffuse", "specular", "direct", "indirect", "color").index(signal) // 2
+
+
+def _stream_address(stream: Any, device: str) -> int:
+    """The address of a CUDA stream of any library."""
+    if device != "cuda":
+        raise InputError(f'A stream was given, but this denoiser runs on "{device}".', 'Make it with device="cuda".')
+    if hasattr(stream, "__cuda_stream__"):
+        protocol = stream.__cuda_stream__
+        address = (protocol() if callable(protocol) else protocol)[1]
+    else:
+        address = next((getattr(stream, name) for name in ("ptr", "cuda_stream") if hasattr(stream, name)), stream)
+    if isinstance(address, bool) or not hasattr(address, "__index__"):
+        raise InputError(
+            f"The stream is a {type(stream).__name__}.",
+            "Give a cupy.cuda.Stream, a torch.cuda.Stream or the address of a CUDA stream.",
+        )
+    return int(address) or _LEGACY_STREAM  # 0 is the legacy default stream's other name
 
 
 def _dlpack_device(array: Any) -> int:

@@ -7,16 +7,22 @@
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from . import _native
 from .effects import Effects
 from .errors import DeviceError, InputError
 
 NAMES = ("auto", "cuda", "cpu", "reference")
+
+_INSTALL_AGAIN = "Install svgf again on this machine: pip install --force-reinstall --no-deps svgf"
 
 
 @dataclass(frozen=True)
@@ -88,34 +94,54 @@ class Device:
         """A copy on the host of an image that a tracer or a denoiser of this device returned."""
         return self._device.to_numpy(image)
 
+    def upload(self, image: np.ndarray) -> Any:
+        """The inverse of ``to_numpy``: float32 or int32 [H, W] or [H, W, C], C-contiguous, as this device's denoiser
+        takes it without a copy."""
+        return self._device.upload(image)
+
+    def copy_bandwidth(self, size: int, repetitions: int = 9) -> float:
+        """Bytes read and written per second by a plain copy of ``size`` bytes: the median. Forgets the timings."""
+        return self._device.copy_bandwidth(size, repetitions)
+
     def __repr__(self) -> str:
         return f"<svgf.Device {self.name}: {self.description}>"
 
 
-def _load_native(name: str) -> ModuleType:
+def load_native(name: str) -> ModuleType:
+    """The native module "cpu", "cpu_avx2" or "cuda", which touches no GPU yet. Raises DeviceError that says why not."""
     try:
         return importlib.import_module(f"._native.{name}", __package__)
     except ImportError as error:
-        if name == "cuda" and getattr(error, "name", None):
-            reason = "This build of svgf has no CUDA module."
-            hint = "Install it again with a CUDA compiler, or with network access so that pip can fetch one."
-        else:
-            reason = f"The native module svgf._native.{name} cannot be loaded: {error}."
-            hint = "Install svgf again on this machine: pip install --force-reinstall --no-deps svgf"
-        raise DeviceError(reason, hint) from error
+        raise DeviceError(_why_not_loaded(name, error), _INSTALL_AGAIN) from error
+
+
+def _why_not_loaded(name: str, error: ImportError) -> str:
+    module, folder = f"The native module svgf._native.{name}", Path(_native.__path__[0])
+    python = f"Python {sys.version_info.major}.{sys.version_info.minor}"
+    if isinstance(error, ModuleNotFoundError):
+        others = ", ".join(sorted(file.name for file in folder.glob(f"{name}.*")))
+        if others:
+            return f"{module} is made for another Python than {python}: {others}."
+        return "This build of svgf has no CUDA module." if name == "cuda" else f"{module} is missing in {folder}."
+    if "undefined symbol: Py" in str(error):
+        return f"{module} is made for a newer Python than {python}."
+    library = re.search(r"`((?:GLIBC|GLIBCXX|CXXABI)_[\d.]+)' not found", str(error))
+    if library:
+        return f"{module} needs {library[1]}, which this system is too old to have."
+    return f"{module} cannot be loaded: {error}."
 
 
 def _cpu_module() -> ModuleType:
     """The fastest build that this processor can run."""
-    baseline = _load_native("cpu")
-    return _load_native("cpu_avx2") if baseline.has_avx2_build and baseline.processor_has_avx2() else baseline
+    baseline = load_native("cpu")
+    return load_native("cpu_avx2") if baseline.has_avx2_build and baseline.processor_has_avx2() else baseline
 
 
 def _info(name: str) -> DeviceInfo:
     if name == "reference":
         return DeviceInfo(name, f"numpy {np.__version__}, float64", True)
     try:
-        module = _cpu_module() if name == "cpu" else _load_native("cuda")
+        module = _cpu_module() if name == "cpu" else load_native("cuda")
     except DeviceError as error:
         return DeviceInfo(name, "-", False, str(error))
     description, memory, reason = module.list_devices()[0]
@@ -143,4 +169,4 @@ def open_device(name: str = "auto") -> Device:
         from . import reference
 
         return Device(name, info.description, reference)
-    return Device(name, info.description, _cpu_module() if name == "cpu" else _load_native("cuda"))
+    return Device(name, info.description, _cpu_module() if name == "cpu" else load_native("cuda"))

@@ -12,13 +12,18 @@ import numpy as np
 
 class _Image:
     """A field that holds an array, or a function that makes it when it is first read: images stay on the device until
-    someone looks at them."""
+    someone looks at them. default: its value where none is given, if there is one."""
+
+    def __init__(self, *default: None) -> None:
+        self._default = default
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
     def __get__(self, frame: Frame | None, owner: type) -> np.ndarray:
-        if frame is None:  # the dataclass asks for a default; there is none
+        if frame is None:  # the dataclass asks for the default
+            if self._default:
+                return self._default[0]
             raise AttributeError(self._name)
         value = frame.__dict__[self._name]
         if callable(value):
@@ -40,6 +45,7 @@ class Frame:
     y down, pixels) and expected previous depth minus this depth (metres). roughness: [H, W].
     object_id: int32 [H, W], 0 on the background. variance: [H, W] luminance variance that the filter left over.
     history_length: [H, W] number of frames in the temporal mean.
+    alpha: [H, W] share of the pixel that the scene covers, by which color is multiplied; None if the film is opaque.
     timings: milliseconds per stage. reset: why history was restarted at this frame, empty when it went on.
     """
 
@@ -54,6 +60,7 @@ class Frame:
     object_id: np.ndarray = _Image()
     variance: np.ndarray = _Image()
     history_length: np.ndarray = _Image()
+    alpha: np.ndarray | None = _Image(None)
     timings: dict[str, float] = field(default_factory=dict)
     reset: str = ""
 
@@ -65,8 +72,8 @@ class Frame:
     def height(self) -> int:
         return self.color.shape[0]
 
-    def with_color(self, color: np.ndarray) -> Frame:
-        """The same frame with another picture; no other image is read for it."""
+    def with_images(self, **images: np.ndarray) -> Frame:
+        """The same frame with other images in some fields; the rest is not read for it."""
         other = copy.copy(self)
-        other.__dict__["color"] = color
+        other.__dict__.update(images)
         return other

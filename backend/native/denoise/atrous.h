@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stage "atrous": one level of the edge-avoiding a-trous wavelet transform, 5x5 taps 2^level pixels apart.
+// Stage "atrous": one level of the edge-avoiding a-trous wavelet transform, taps 2^level pixels apart.
 // Atrous is the filter of [Schied17], driven by variance; EdgeAvoiding that of [Dammertz10].
 //
 // Departures from [Schied17]:
@@ -10,107 +10,271 @@
 // From [Dammertz10], of which the text and the listing at its end disagree: weights are Gaussians of squared distances,
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.
+//
+// On tiles. The taps of a level with spacing s join only pixels that are multiples of s apart, so a tile is taken from
+// one such lattice (of 1, 2 or 4 neighbouring columns, so that reads of memory stay whole): whatever the spacing, a
+// pixel is read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed distances. A
+// thread filters two pixels, which share half of their taps.
 #pragma once
 
-#include "denoise/guides.h"
+#include "denoise/method.h"
 
 namespace svgf {
-
-// B3 spline [Dammertz10] by distance from the centre, and a 3x3 Gaussian, per axis.
-SVGF_HD inline float b3_spline(int distance) { return distance == 0 ? 0.375f : distance == 1 ? 0.25f : 0.0625f; }
-SVGF_HD inline float gaussian(int distance) { return distance == 0 ? 0.5f : 0.25f; }
 
 // [Schied17, Eq. 5] epsilon, radiance; only keeps 0 / 0 away.
 constexpr float luminance_epsilon = 1e-10f;
 
-template <int Signals>
-struct Atrous {
-    Guides guides;
-    int level;
-    float sigma_depth, sigma_normal, sigma_luminance;
-    const Vec4* in_color[Signals];  // rgb, variance
-    Vec4* out_color[Signals];
+// Kernels by distance from the centre, per axis: B3 spline [Dammertz10] and binomial; a 3x3 Gaussian.
+template <int Radius>
+SVGF_HD constexpr float kernel(int distance) {
+    if constexpr (Radius == 2)
+        return distance == 0 ? 0.375f : distance == 1 ? 0.25f : 0.0625f;
+    else
+        return distance == 0 ? 0.5f : 0.25f;
+}
+// Its logarithm to the base 2, of a tap (i, j) steps away.
+template <int Radius>
+SVGF_HD constexpr float kernel_log2(int i, int j) {
+    const auto of = [](int distance) {
+        if constexpr (Radius == 2)
+            return distance == 0 ? -1.4150374993f : distance == 1 || distance == -1 ? -2.0f : -4.0f;
+        else
+            return distance == 0 ? -1.0f : -2.0f;
+    };
+    return of(i) + of(j);
+}
+SVGF_HD constexpr float gaussian(int distance) { return distance == 0 ? 0.5f : 0.25f; }
 
-    SVGF_HD void operator()(int x, int y) const {
-        const int pixel = guides.pixel(x, y), step = 1 << level;
-        const Vec4 p = guides.normal_depth[pixel];
-        if (!is_surface(p)) {
-            for (int s = 0; s < Signals; ++s) {
-                const Vec3 c = in_color[s][pixel].xyz();
-                out_color[s][pixel] = {c.x, c.y, c.z, 0.0f};
-            }
-            return;
-        }
-        const Vec2 gradient = guides.gradient[pixel];
-        float light[Signals], light_scale[Signals];
-        Vec4 sum[Signals];
-        float weight[Signals];
-        prefilter_variance(x, y, light_scale);
-        for (int s = 0; s < Signals; ++s) {
-            const Vec4 center = in_color[s][pixel];
-            const float w = b3_spline(0) * b3_spline(0);
-            light[s] = luminance(center.xyz());
-            light_scale[s] = 1.0f / (sigma_luminance * std::sqrt(light_scale[s]) + luminance_epsilon);
-            weight[s] = w;
-            sum[s] = {w * center.x, w * center.y, w * center.z, w * w * center.w};
-        }
-        for (int j = -2; j <= 2; ++j)
-            for (int i = -2; i <= 2; ++i) {
-                const int dx = i * step, dy = j * step;
-                if ((i == 0 && j == 0) || !guides.contains(x + dx, y + dy)) continue;
-                const int tap = guides.pixel(x + dx, y + dy);
-                float w_log;
-                if (!edge_weight_log(p, guides.normal_depth[tap], gradient, dx, dy, sigma_depth, sigma_normal, w_log))
-                    continue;
-                const float h = b3_spline(i < 0 ? -i : i) * b3_spline(j < 0 ? -j : j);
-                for (int s = 0; s < Signals; ++s) {
-                    const Vec4 c = in_color[s][tap];
-                    const float w =
-                        h * std::exp(w_log - std::fabs(luminance(c.xyz()) - light[s]) * light_scale[s]);
-                    weight[s] += w;
-                    sum[s] += Vec4{w * c.x, w * c.y, w * c.z, w * w * c.w};  // [Schied17, Eq. 1, 2]
-                }
-            }
-        for (int s = 0; s < Signals; ++s) {
-            const float scale = 1.0f / weight[s];
-            out_color[s][pixel] = {sum[s].x * scale, sum[s].y * scale, sum[s].z * scale, sum[s].w * scale * scale};
-        }
+// Columns of the lattice that a tile takes together.
+constexpr int most_phases_log2 = 2;
+
+// Where the tiles of a level lie: 32 x 16 pixels of a lattice with spacing 2^level, 2^phases_log2 neighbouring columns
+// of it, with a margin for the taps.
+template <int radius, int phases_log2>
+struct Lattice {
+    static constexpr int columns = 32, rows = 16;
+    static constexpr int margin = radius << phases_log2;  // columns
+    static constexpr int width = columns + 2 * margin, height = rows + 2 * radius;
+    static constexpr int right = 1 << phases_log2, below = width;  // from a place to that of the next tap
+
+    int level = 0;  // at least phases_log2
+    int image_width = 0, image_height = 0;
+
+    int tile_columns() const { return divide_up(image_width, span_x_log2()) << (level - phases_log2); }
+    int tile_rows() const { return divide_up(image_height, span_y_log2()) << level; }
+
+    // Pixel of the place (column, row) in a tile with its margins; it may lie outside the image.
+    SVGF_HD int x(int tile_column, int column) const {
+        const int interleaved_log2 = level - phases_log2, phase_mask = (1 << phases_log2) - 1;
+        const int left = ((tile_column >> interleaved_log2) << span_x_log2()) +
+                         ((tile_column & ((1 << interleaved_log2) - 1)) << phases_log2);
+        return left + (((column >> phases_log2) - radius) * (1 << level)) + (column & phase_mask);
+    }
+    SVGF_HD int y(int tile_row, int row) const {
+        const int top = ((tile_row >> level) << span_y_log2()) + (tile_row & ((1 << level) - 1));
+        return top + (row - radius) * (1 << level);
     }
 
 private:
-    // g_3x3(Var) [Schied17, Eq. 5].
-    SVGF_HD void prefilter_variance(int x, int y, float (&variance)[Signals]) const {
+    // Pixels from a tile to the next of its lattice.
+    SVGF_HD int span_x_log2() const { return 5 - phases_log2 + level; }
+    SVGF_HD int span_y_log2() const { return 4 + level; }
+    static int divide_up(int size, int unit_log2) { return (size + (1 << unit_log2) - 1) >> unit_log2; }
+};
+
+// sink(pixel, color) takes the result, rgb and variance of each signal.
+template <class Method, int Signals, int PhasesLog2, class Sink>
+struct Atrous {
+    using Storage = typename Method::Storage;
+    static constexpr int radius = Method::radius, rows_per_thread = 2;
+    using Lattice = svgf::Lattice<radius, PhasesLog2>;
+    static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
+    static constexpr int blocks = 5 - Signals;  // as the registers allow; fastest on an H200
+
+    struct Tile {
+        static constexpr int places = Lattice::width * Lattice::height;
+        Vec4 surface[places];  // normal, depth; depth is infinity where there is nothing to filter
+        Vec4 color[Signals][places];
+    };
+
+    typename Storage::Guides guides;
+    Lattice lattice;
+    float sigma_depth, sigma_normal, sigma_luminance;
+    typename Storage::Color in_color[Signals];
+    Sink sink;
+
+    int bytes_per_pixel() const {
+        return Storage::guide_bytes + Signals * Storage::color_bytes + sink.sink_bytes_per_pixel();
+    }
+    int tile_columns() const { return lattice.tile_columns(); }
+    int tile_rows() const { return lattice.tile_rows(); }
+    SVGF_HD int loads() const { return Tile::places; }
+
+    SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
+        const int row = place / Lattice::width, column = place % Lattice::width;
+        const int x = lattice.x(tile_column, column), y = lattice.y(tile_row, row);
+        Vec4 surface = {0.0f, 0.0f, 0.0f, infinity}, color[Signals];
+        if (guides.contains(x, y)) {
+            const int pixel = guides.pixel(x, y);
+            surface = guides.normal_depth(pixel);
+            if (!is_surface(surface.w)) surface.w = infinity;
+            for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
+        }
+        tile.surface[place] = surface;
+        for (int s = 0; s < Signals; ++s) tile.color[s][place] = color[s];
+    }
+
+    SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
+        const int column = thread_x + Lattice::margin, row = thread_y * rows_per_thread + radius;
+        const int x = lattice.x(tile_column, column), upper_y = lattice.y(tile_row, row),
+                  lower_y = lattice.y(tile_row, row + 1);
+        if (x >= guides.width || upper_y >= guides.height) return;
+        const int upper = row * Lattice::width + column, lower = upper + Lattice::below;
+        const bool has_lower = lower_y < guides.height;
+        Pixel pixels[rows_per_thread] = {{*this, tile, upper, x, upper_y},
+                                         {*this, tile, lower, x, has_lower ? lower_y : upper_y}};
+        SVGF_UNROLL
+        for (int j = -radius; j < radius + rows_per_thread; ++j) {
+            SVGF_UNROLL
+            for (int i = -radius; i <= radius; ++i) {
+                const int place = upper + j * Lattice::below + i * Lattice::right;
+                const Vec4 surface = tile.surface[place];
+                Vec4 color[Signals];
+                float light[Signals];
+                SVGF_UNROLL
+                for (int s = 0; s < Signals; ++s) {
+                    color[s] = tile.color[s][place];
+                    light[s] = luminance(color[s].xyz());
+                }
+                SVGF_UNROLL
+                for (int p = 0; p < rows_per_thread; ++p)
+                    if (j - p >= -radius && j - p <= radius && !(i == 0 && j == p))
+                        pixels[p].add(i, j - p, surface, color, light);
+            }
+        }
+        pixels[0].finish(*this, tile, upper, guides.pixel(x, upper_y));
+        if (has_lower) pixels[1].finish(*this, tile, lower, guides.pixel(x, lower_y));
+    }
+
+private:
+    // A pixel and the sums over its taps.
+    struct Pixel {
+        EdgeWeight<typename Method::Normal> edge;
+        float depth_scale[radius + 1][2 * radius + 1];  // by row and column of the taps below; above they are the same
+        float light[Signals], light_scale[Signals], weight[Signals];
+        Vec4 sum[Signals];
+
+        SVGF_HD Pixel(const Atrous& stage, const Tile& tile, int place, int x, int y)
+            : edge(tile.surface[place], stage.guides.gradient(stage.guides.pixel(x, y)), stage.sigma_depth,
+                   stage.sigma_normal) {
+            const float step = float(1 << stage.lattice.level);
+            SVGF_UNROLL
+            for (int j = 0; j <= radius; ++j)
+                SVGF_UNROLL
+                for (int i = -radius; i <= radius; ++i)
+                    if (j > 0 || i > 0) depth_scale[j][i + radius] = edge.depth_scale(i, j, step);
+            float variance[Signals];
+            stage.prefilter_variance(tile, place, x, y, variance);
+            SVGF_UNROLL
+            for (int s = 0; s < Signals; ++s) {
+                const Vec4 color = tile.color[s][place];
+                constexpr float w = kernel<radius>(0) * kernel<radius>(0);
+                light[s] = luminance(color.xyz());
+                light_scale[s] =
+                    -log2_e * fast_reciprocal(stage.sigma_luminance * fast_sqrt(variance[s]) + luminance_epsilon);
+                weight[s] = w;
+                sum[s] = {w * color.x, w * color.y, w * color.z, w * w * color.w};
+            }
+        }
+
+        // The tap (i, j) steps away [Schied17, Eq. 1, 2].
+        SVGF_HD void add(int i, int j, Vec4 surface, const Vec4 (&color)[Signals], const float (&tap_light)[Signals]) {
+            const bool above = j < 0 || (j == 0 && i < 0);
+            const float w_log = edge(surface, depth_scale[above ? -j : j][(above ? -i : i) + radius],
+                                     kernel_log2<radius>(i, j));
+            SVGF_UNROLL
+            for (int s = 0; s < Signals; ++s) {
+                const float w = fast_exp2(std::fabs(tap_light[s] - light[s]) * light_scale[s] + w_log);
+                const Vec4 c = color[s];
+                weight[s] += w;
+                sum[s] = {sum[s].x + w * c.x, sum[s].y + w * c.y, sum[s].z + w * c.z, sum[s].w + w * w * c.w};
+            }
+        }
+
+        SVGF_HD void finish(const Atrous& stage, const Tile& tile, int place, int pixel) const {
+            Vec4 result[Signals];
+            for (int s = 0; s < Signals; ++s) {
+                const float scale = fast_reciprocal(weight[s]);
+                result[s] = {sum[s].x * scale, sum[s].y * scale, sum[s].z * scale, sum[s].w * scale * scale};
+                if (!is_surface(edge.depth)) {  // it stays as it is
+                    result[s] = tile.color[s][place];
+                    result[s].w = 0.0f;
+                }
+            }
+            stage.sink(pixel, result);
+        }
+    };
+
+    // g_3x3(Var) [Schied17, Eq. 5] around a pixel that stands in the tile's `place`.
+    SVGF_HD void prefilter_variance(const Tile& tile, int place, int x, int y, float (&variance)[Signals]) const {
+        if constexpr (Method::prefilters_first_level_only && PhasesLog2 > 0) {
+            for (int s = 0; s < Signals; ++s) variance[s] = tile.color[s][place].w;
+            return;
+        }
         float weight = 0.0f;
         for (int s = 0; s < Signals; ++s) variance[s] = 0.0f;
-        for (int dy = -1; dy <= 1; ++dy)
-            for (int dx = -1; dx <= 1; ++dx) {
-                if (!guides.contains(x + dx, y + dy)) continue;
-                const int tap = guides.pixel(x + dx, y + dy);
-                if (!is_surface(guides.normal_depth[tap])) continue;
-                const float w = gaussian(dx) * gaussian(dy);
-                weight += w;
-                for (int s = 0; s < Signals; ++s) variance[s] += w * in_color[s][tap].w;
+        SVGF_UNROLL
+        for (int j = -1; j <= 1; ++j)
+            SVGF_UNROLL
+            for (int i = -1; i <= 1; ++i) {
+                const float w = gaussian(i) * gaussian(j);
+                if constexpr (PhasesLog2 == 0) {  // the taps are the neighbours
+                    const int tap = place + j * Lattice::below + i * Lattice::right;
+                    if (!is_surface(tile.surface[tap].w)) continue;
+                    weight += w;
+                    for (int s = 0; s < Signals; ++s) variance[s] += w * tile.color[s][tap].w;
+                } else {
+                    const int tap_x = x + i, tap_y = y + j;
+                    if (!guides.contains(tap_x, tap_y)) continue;
+                    const int tap = guides.pixel(tap_x, tap_y);
+                    if (!is_surface(guides.depth(tap))) continue;
+                    weight += w;
+                    for (int s = 0; s < Signals; ++s) variance[s] += w * in_color[s].variance(tap);
+                }
             }
-        for (int s = 0; s < Signals; ++s) variance[s] /= weight;
+        for (int s = 0; s < Signals; ++s) variance[s] *= fast_reciprocal(max(weight, 1e-30f));
+    }
+};
+
+// The sink that keeps the result for the next level.
+template <class Storage, int Signals>
+struct StoreColor {
+    typename Storage::Color out_color[Signals];
+
+    int sink_bytes_per_pixel() const { return Signals * Storage::color_bytes; }
+
+    SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
+        for (int s = 0; s < Signals; ++s) out_color[s].store(pixel, color[s]);
     }
 };
 
 template <int Signals>
 struct EdgeAvoiding {
-    Guides guides;
+    FloatStorage::Guides guides;
     Vec4 window;  // left, right, bottom, top of the image one unit ahead of the camera
     int level;
     float sigma_color, sigma_normal, sigma_position;  // sigma_color: of level 0
-    const Vec4* in_color[Signals];
-    Vec4* out_color[Signals];
+    FloatStorage::Color in_color[Signals], out_color[Signals];
+
+    int bytes_per_pixel() const { return 16 + Signals * 2 * FloatStorage::color_bytes; }
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y), step = 1 << level;
-        const Vec4 p = guides.normal_depth[pixel];
+        const Vec4 p = guides.normal_depth(pixel);
         Vec3 sum[Signals];
         float weight[Signals] = {};
-        if (!is_surface(p)) {
-            for (int s = 0; s < Signals; ++s) out_color[s][pixel] = in_color[s][pixel];
+        if (!is_surface(p.w)) {
+            for (int s = 0; s < Signals; ++s) out_color[s].store(pixel, in_color[s][pixel]);
             return;
         }
         const Vec3 position = camera_position(x, y, p.w);
@@ -122,23 +286,23 @@ struct EdgeAvoiding {
                 const int qx = x + i * step, qy = y + j * step;
                 if (!guides.contains(qx, qy)) continue;
                 const int tap = guides.pixel(qx, qy);
-                const Vec4 q = guides.normal_depth[tap];
-                if (!is_surface(q)) continue;
+                const Vec4 q = guides.normal_depth(tap);
+                if (!is_surface(q.w)) continue;
                 const Vec3 normal_difference = p.xyz() - q.xyz();
                 const Vec3 position_difference = position - camera_position(qx, qy, q.w);
                 const float w_log = normal_scale * dot(normal_difference, normal_difference) +
                                     position_scale * dot(position_difference, position_difference);
-                const float h = b3_spline(i < 0 ? -i : i) * b3_spline(j < 0 ? -j : j);
+                const float h = kernel<2>(i < 0 ? -i : i) * kernel<2>(j < 0 ? -j : j);
                 for (int s = 0; s < Signals; ++s) {
                     const Vec3 c = in_color[s][tap].xyz(), difference = in_color[s][pixel].xyz() - c;
-                    const float w = h * std::exp(w_log + color_scale * dot(difference, difference));
+                    const float w = h * fast_exp2(log2_e * (w_log + color_scale * dot(difference, difference)));
                     weight[s] += w;
                     sum[s] += w * c;
                 }
             }
         for (int s = 0; s < Signals; ++s) {
             const Vec3 c = sum[s] / weight[s];
-            out_color[s][pixel] = {c.x, c.y, c.z, 0.0f};
+            out_color[s].store(pixel, {c.x, c.y, c.z, 0.0f});
         }
     }
 

@@ -28,7 +28,7 @@ SVGF_HD inline Vec3 signal_albedo(const float* const albedo[2], int pixel, int& 
     return max(sum, albedo_floor);
 }
 
-template <int Signals>
+template <class Storage, int Signals>
 struct Demodulate {
     int width, height;
     const float* in_signal[Signals];
@@ -37,11 +37,16 @@ struct Demodulate {
     const float* in_depth;
     const float* in_depth_gradient;
     const int32_t* in_object_id;
-    Vec4* out_illumination[Signals];  // w: 0
-    Vec4* out_normal_depth;
-    Vec2* out_gradient;
-    int32_t* out_object_id;
+    typename Storage::Color out_illumination[Signals];  // variance: 0
+    typename Storage::Guides out_guides;
     int* out_repaired;
+
+    int bytes_per_pixel() const {
+        int bytes = Storage::guide_bytes + 12 + 4 + (in_depth_gradient ? 8 : 0) + (in_object_id ? 4 : 0);
+        for (int s = 0; s < Signals; ++s)
+            bytes += 12 + (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0) + Storage::color_bytes;
+        return bytes;
+    }
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = y * width + x;
@@ -49,7 +54,7 @@ struct Demodulate {
         for (int s = 0; s < Signals; ++s) {
             const Vec3 albedo = signal_albedo(in_albedo[s], pixel, repaired);
             const Vec3 c = repair(load3(in_signal[s], pixel) / albedo, repaired);
-            out_illumination[s][pixel] = {c.x, c.y, c.z, 0.0f};
+            out_illumination[s].store(pixel, {c.x, c.y, c.z, 0.0f});
         }
         write_guides(x, y, repaired);
         count(out_repaired, repaired);
@@ -68,9 +73,7 @@ private:
         } else if (named_id(pixel) != 0 && !is_good(pixel)) {
             ++repaired;
         }
-        out_normal_depth[pixel] = normal_depth;
-        out_gradient[pixel] = gradient;
-        out_object_id[pixel] = id;
+        out_guides.store(pixel, normal_depth, gradient, id);
     }
 
     SVGF_HD int32_t named_id(int pixel) const {

@@ -8,6 +8,7 @@
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
 #include "denoise/variance.h"
+#include "device/launch_shape.h"
 
 namespace svgf {
 
@@ -28,9 +29,31 @@ constexpr SignalInfo signal_table[] = {
 
 const char* const signal_suffix[max_signals] = {"0", "1"};
 
+// Two stages in one launch, where the second reads no more of the first one's results than its own pixel.
+template <class First, class Second>
+struct Sequence {
+    static constexpr LaunchShape launch_shape = {32, 4, 12};  // fastest on an H200
+
+    First first;
+    Second second;
+
+    // What the second reads is still at hand.
+    int bytes_per_pixel() const { return first.bytes_per_pixel() + second.bytes_per_pixel_after_demodulate(); }
+    SVGF_HD void operator()(int x, int y) const {
+        first(x, y);
+        second(x, y);
+    }
+};
+template <class First, class Second>
+Sequence(First, Second) -> Sequence<First, Second>;
+
+// Of the caller's colour image, per pixel.
+constexpr int borrowed_bytes = 3 * sizeof(float);
+
 }  // namespace
 
 std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name) {
+    if (name == "svgf+") return DenoiseMethod::svgf_plus;
     if (name == "svgf") return DenoiseMethod::svgf;
     if (name == "eaw") return DenoiseMethod::eaw;
     if (name == "none") return DenoiseMethod::none;
@@ -62,214 +85,276 @@ DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* na
     return inputs;
 }
 
-Denoiser::Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings)
-    : device_(device), width_(width), height_(height), method_(method), settings_(settings) {
-    const size_t pixels = size_t(width) * height;
-    geometry_ = {Buffer<Vec4>(device, pixels, "normal and depth"), Buffer<Vec2>(device, pixels, "depth gradient"),
-                 Buffer<int32_t>(device, pixels, "object id"), {}};
-    if (method == DenoiseMethod::svgf) {
-        geometry_.history_length = Buffer<float>(device, pixels, "history length");
-        previous_ = {Buffer<Vec4>(device, pixels, "previous normal and depth"),
-                     Buffer<Vec2>(device, pixels, "previous depth gradient"),
-                     Buffer<int32_t>(device, pixels, "previous object id"),
-                     Buffer<float>(device, pixels, "previous history length")};
-    }
-    repaired_ = Buffer<int>(device, 1, "repair counter");
-    repaired_.clear();
-    allocate_signal(0);
+// run.operator()<Method>() for the traits of the denoiser's method.
+template <class Run>
+auto Denoiser::with_method(Run run) {
+    return method_ == DenoiseMethod::svgf_plus ? run.template operator()<Fast>() : run.template operator()<Published>();
 }
 
-void Denoiser::allocate_signal(int signal) {
-    SignalBuffers& buffers = signal_[signal];
-    if (buffers.working) return;
-    const size_t pixels = size_t(width_) * height_;
-    buffers.scratch = Buffer<Vec4>(device_, pixels, "scratch");
-    if (method_ == DenoiseMethod::svgf) {
-        buffers.history = Buffer<Vec4>(device_, pixels, "history");
-        buffers.moments = Buffer<Vec2>(device_, pixels, "moments");
-        buffers.previous_moments = Buffer<Vec2>(device_, pixels, "previous moments");
+Denoiser::Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings)
+    : device_(device), width_(width), height_(height), method_(method), settings_(settings) {
+    repaired_ = Buffer<int>(device, 1, "repair counter");
+    repaired_.clear();
+    prepare(1);
+}
+
+void Denoiser::prepare(int signals) {
+    with_method([&]<class Method>() { allocate<typename Method::Storage>(signals); });
+}
+
+template <class Storage>
+void Denoiser::allocate(int signals) {
+    const auto need = [&](Memory& memory, int bytes_per_pixel, const char* what) {
+        if (memory.size() < pixels() * bytes_per_pixel) {
+            memory = {};
+            memory = Memory(device_, pixels() * bytes_per_pixel, what);
+            has_history_ = false;
+        }
+    };
+    const int color_bytes = signals * Storage::color_bytes;
+    need(guides_, Storage::guide_bytes, "guides");
+    if (color_bytes > borrowed_bytes) need(working_, color_bytes, "working colour");
+    if (!is_temporal()) {
+        if (method_ != DenoiseMethod::none) need(scratch_, color_bytes, "scratch colour");
+        return;
     }
-    buffers.working = Buffer<Vec4>(device_, pixels, "working");
+    static_assert(max_signals * Storage::color_bytes <= Storage::guide_bytes);  // scratch
+    need(previous_guides_, Storage::guide_bytes, "previous guides");
+    need(history_, color_bytes, "history");
+    need(moments_, signals * Storage::moments_bytes, "moments");
+    need(previous_moments_, signals * Storage::moments_bytes, "previous moments");
+}
+
+template <class Storage>
+typename Storage::Guides Denoiser::guides_of(Memory& memory) {
+    return {memory.data(), width_, height_};
+}
+
+template <class Storage>
+typename Storage::Color Denoiser::color_of(Place place, int signal) {
+    std::byte* memory = place == Place::history   ? history_.data()
+                        : place == Place::scratch ? (is_temporal() ? previous_guides_ : scratch_).data()
+                        : borrowed_               ? borrowed_
+                                                  : working_.data();
+    return {memory + signal * pixels() * Storage::color_bytes};
+}
+
+template <class Storage>
+typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
+    return {memory.data() + signal * pixels() * Storage::moments_bytes};
 }
 
 void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset) {
-    for (int s = 0; s < inputs.signals; ++s) allocate_signal(s);
+    prepare(inputs.signals);
     if (reset || inputs.signals != signals_) has_history_ = false;
     signals_ = inputs.signals;
     try {
-        if (signals_ == 1)
-            run<1>(inputs, outputs);
-        else
-            run<2>(inputs, outputs);
+        with_method([&]<class Method>() {
+            signals_ == 1 ? run<Method, 1>(inputs, outputs) : run<Method, 2>(inputs, outputs);
+        });
     } catch (...) {
-        has_history_ = false;  // the buffers hold half a frame
+        has_history_ = false;  // the memory holds half a frame
         throw;
     }
 }
 
-template <int Signals>
-void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
-    demodulate<Signals>(inputs);
-    if (method_ == DenoiseMethod::svgf) {
-        temporal<Signals>(inputs);
-        variance<Signals>();
-    }
-    for (int level = 0; level < levels(); ++level) atrous<Signals>(level, inputs.window);
-    modulate<Signals>(inputs, outputs);
-    if (method_ != DenoiseMethod::svgf) return;
-    if (levels() == 0)  // then the means themselves are the history; modulate has read them
-        for (int s = 0; s < Signals; ++s) signal_[s].history.swap(signal_[s].working);
-    for (int s = 0; s < Signals; ++s) signal_[s].moments.swap(signal_[s].previous_moments);
-    std::swap(geometry_, previous_);
-    has_history_ = true;
+void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
+    const size_t bytes = bytes_per_pixel * pixels();
+    for (auto& [known, total] : traffic_)
+        if (known == name) {
+            total += bytes;
+            return;
+        }
+    traffic_.emplace_back(name, bytes);
 }
 
-// The frame's guides; illumination in `working`.
-template <int Signals>
-void Denoiser::demodulate(const DenoiseInputs& inputs) {
+template <class Stage>
+void Denoiser::launch(const char* name, const Stage& stage) {
+    add_traffic(name, stage.bytes_per_pixel());
+    device_.launch(name, width_, height_, stage);
+}
+
+template <class Stage>
+void Denoiser::launch_tiles(const char* name, const Stage& stage) {
+    add_traffic(name, stage.bytes_per_pixel());
+    device_.launch_tiles(name, stage);
+}
+
+template <class Method, int Signals>
+void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
+    using Storage = typename Method::Storage;
+    if (Signals * Storage::color_bytes <= borrowed_bytes) borrowed_ = reinterpret_cast<std::byte*>(outputs.color);
+    else borrowed_ = nullptr;
+    traffic_.clear();
     repaired_.clear();
-    Demodulate<Signals> stage;
+    Place place = Place::working;
+    const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
+    if (is_temporal()) {
+        launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+        variance<Method, Signals>();
+        // The last level reads history or scratch, never working, which may be the image that modulate writes.
+        const int last = levels() - 1;
+        for (int level = 0; level <= max(last - 1, 0) && level <= last; ++level) {
+            const Place next = level == 0 ? Place::history : (last - level) % 2 ? Place::scratch : Place::working;
+            atrous<Method, Signals>(level, place, next);
+            place = next;
+        }
+        if (levels() == 0) {  // the means themselves are the history
+            device_.copy(history_.data(), color_of<Storage>(place, 0).texels, Signals * pixels() * Storage::color_bytes);
+            place = Place::history;
+        }
+        const auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
+        if (last >= 1)
+            atrous<Method, Signals>("atrous and modulate", last, place, modulate_stage);
+        else
+            launch("modulate", modulate_stage);
+        moments_.swap(previous_moments_);
+        guides_.swap(previous_guides_);
+        has_history_ = true;
+    } else {
+        launch("demodulate", demodulate_stage);
+        for (int level = 0; level < levels(); ++level) {
+            const Place next = place == Place::working ? Place::scratch : Place::working;
+            edge_avoiding<Signals>(level, inputs.window, place, next);
+            place = next;
+        }
+        launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
+    }
+}
+
+// The frame's guides; illumination in working.
+template <class Storage, int Signals>
+Demodulate<Storage, Signals> Denoiser::demodulate(const DenoiseInputs& inputs) {
+    Demodulate<Storage, Signals> stage;
     stage.width = width_;
     stage.height = height_;
     stage.in_normal = inputs.normal;
     stage.in_depth = inputs.depth;
     stage.in_depth_gradient = inputs.depth_gradient;
     stage.in_object_id = inputs.object_id;
-    stage.out_normal_depth = geometry_.normal_depth.data();
-    stage.out_gradient = geometry_.gradient.data();
-    stage.out_object_id = geometry_.object_id.data();
+    stage.out_guides = guides_of<Storage>(guides_);
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
         stage.in_signal[s] = inputs.signal[s];
         for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
-        stage.out_illumination[s] = signal_[s].working.data();
+        stage.out_illumination[s] = color_of<Storage>(Place::working, s);
     }
-    device_.launch("demodulate", width_, height_, stage);
+    return stage;
 }
 
-Guides Denoiser::guides_of(const GeometryBuffers& buffers) const {
-    return {buffers.normal_depth.data(), buffers.gradient.data(), buffers.object_id.data(), width_, height_};
-}
-
-// From `working` and `history` through `scratch` to `working` with its variance over time.
-template <int Signals>
-void Denoiser::temporal(const DenoiseInputs& inputs) {
-    Temporal<Signals> stage;
-    stage.guides = guides_of(geometry_);
-    stage.prev_guides = has_history_ ? guides_of(previous_) : Guides{};
+// In place: working becomes the mean with its variance over time, and no other pixel reads it.
+template <class Storage, int Signals>
+Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
+    Temporal<Storage, Signals> stage;
+    stage.guides = guides_of<Storage>(guides_);
+    if (has_history_) stage.prev_guides = guides_of<Storage>(previous_guides_);
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
-    stage.hist_length = previous_.history_length.data();
     stage.alpha = settings_.alpha;
     stage.alpha_moments = settings_.alpha_moments;
     stage.depth_tolerance = settings_.depth_tolerance;
     stage.normal_tolerance = settings_.normal_tolerance;
-    stage.out_length = geometry_.history_length.data();
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
-        stage.in_illumination[s] = signal_[s].working.data();
-        stage.hist_color[s] = signal_[s].history.data();
-        stage.hist_moments[s] = signal_[s].previous_moments.data();
-        stage.out_color[s] = signal_[s].scratch.data();
-        stage.out_moments[s] = signal_[s].moments.data();
+        stage.in_illumination[s] = stage.out_color[s] = color_of<Storage>(Place::working, s);
+        stage.hist_color[s] = color_of<Storage>(Place::history, s);
+        stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
+        stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    device_.launch("temporal", width_, height_, stage);
-    for (int s = 0; s < Signals; ++s) signal_[s].working.swap(signal_[s].scratch);
+    return stage;
 }
 
-// In place: only the variance of `working` changes, and no other pixel reads it.
-template <int Signals>
+// In place: only the variance of working changes, and no other pixel reads it.
+template <class Method, int Signals>
 void Denoiser::variance() {
-    Variance<Signals> stage;
-    stage.guides = guides_of(geometry_);
-    stage.in_length = geometry_.history_length.data();
+    using Storage = typename Method::Storage;
+    Variance<Method, Signals> stage;
+    stage.guides = guides_of<Storage>(guides_);
     stage.sigma_depth = settings_.sigma_depth;
     stage.sigma_normal = settings_.sigma_normal;
     stage.spatial_variance_frames = settings_.spatial_variance_frames;
     for (int s = 0; s < Signals; ++s) {
-        stage.in_moments[s] = signal_[s].moments.data();
-        stage.out_color[s] = signal_[s].working.data();
+        stage.in_moments[s] = moments_of<Storage>(moments_, s);
+        stage.out_color[s] = color_of<Storage>(Place::working, s);
     }
-    device_.launch("variance", width_, height_, stage);
+    launch("variance", stage);
 }
 
-// Where a signal's colour is after `levels` levels. SVGF's first level is the next frame's history [Schied17]: it is
-// written there, and level 1 reads it there, so that feedback costs no copy.
-Buffer<Vec4>& Denoiser::filtered(int signal, int levels) {
-    SignalBuffers& buffers = signal_[signal];
-    return method_ == DenoiseMethod::svgf && levels == 1 ? buffers.history : buffers.working;
-}
-
-template <int Signals>
-void Denoiser::atrous(int level, const Vec4& window) {
-    const bool svgf = method_ == DenoiseMethod::svgf, to_history = svgf && level == 0;
-    const auto launch = [&](auto stage) {
-        stage.guides = guides_of(geometry_);
-        stage.level = level;
-        for (int s = 0; s < Signals; ++s) {
-            stage.in_color[s] = filtered(s, level).data();
-            stage.out_color[s] = (to_history ? signal_[s].history : signal_[s].scratch).data();
-        }
-        device_.launch("atrous", width_, height_, stage);
-    };
-    if (svgf) {
-        Atrous<Signals> stage;
+template <class Method, int Signals, class Sink>
+void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink) {
+    using Storage = typename Method::Storage;
+    const auto launch = [&]<int PhasesLog2>() {
+        Atrous<Method, Signals, PhasesLog2, Sink> stage;
+        stage.guides = guides_of<Storage>(guides_);
+        stage.lattice = {level, width_, height_};
         stage.sigma_depth = settings_.sigma_depth;
         stage.sigma_normal = settings_.sigma_normal;
         stage.sigma_luminance = settings_.sigma_luminance;
-        launch(stage);
-    } else {
-        EdgeAvoiding<Signals> stage;
-        stage.window = window;
-        stage.sigma_color = settings_.eaw_sigma_color;
-        stage.sigma_normal = settings_.eaw_sigma_normal;
-        stage.sigma_position = settings_.eaw_sigma_position;
-        launch(stage);
-    }
-    if (to_history) return;
-    for (int s = 0; s < Signals; ++s) signal_[s].working.swap(signal_[s].scratch);
+        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
+        stage.sink = sink;
+        launch_tiles(name, stage);
+    };
+    static_assert(most_phases_log2 == 2);
+    if (level == 0) launch.template operator()<0>();
+    else if (level == 1) launch.template operator()<1>();
+    else launch.template operator()<2>();
+}
+
+template <class Method, int Signals>
+void Denoiser::atrous(int level, Place from, Place to) {
+    using Storage = typename Method::Storage;
+    StoreColor<Storage, Signals> sink;
+    for (int s = 0; s < Signals; ++s) sink.out_color[s] = color_of<Storage>(to, s);
+    atrous<Method, Signals>("atrous", level, from, sink);
 }
 
 template <int Signals>
-void Denoiser::modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
-    Modulate<Signals> stage;
-    stage.width = width_;
+void Denoiser::edge_avoiding(int level, const Vec4& window, Place from, Place to) {
+    EdgeAvoiding<Signals> stage;
+    stage.guides = guides_of<FloatStorage>(guides_);
+    stage.level = level;
+    stage.window = window;
+    stage.sigma_color = settings_.eaw_sigma_color;
+    stage.sigma_normal = settings_.eaw_sigma_normal;
+    stage.sigma_position = settings_.eaw_sigma_position;
+    for (int s = 0; s < Signals; ++s) {
+        stage.in_color[s] = color_of<FloatStorage>(from, s);
+        stage.out_color[s] = color_of<FloatStorage>(to, s);
+    }
+    launch("atrous", stage);
+}
+
+template <class Storage, int Signals>
+Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, Place from) {
+    Modulate<Storage, Signals> stage;
     stage.in_emission = inputs.emission;
-    stage.in_normal_depth = geometry_.normal_depth.data();
-    stage.in_length = geometry_.history_length.data();  // null unless svgf
+    stage.guides = guides_of<Storage>(guides_);
+    stage.has_length = is_temporal();
     stage.out_color = outputs.color;
     stage.out_variance = outputs.variance;
     stage.out_history_length = outputs.history_length;
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
-        stage.in_color[s] = filtered(s, levels()).data();
+        stage.in_color[s] = color_of<Storage>(from, s);
         for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
     }
-    device_.launch("modulate", width_, height_, stage);
+    return stage;
 }
 
 int Denoiser::repaired() const { return repaired_.download()[0]; }
 
 std::vector<BufferInfo> Denoiser::buffers() const {
     std::vector<BufferInfo> list;
-    const auto add = [&](const std::string& name, const auto& buffer) {
+    const auto add = [&](const char* name, const auto& buffer) {
         if (buffer) list.push_back({name, buffer.bytes()});
     };
-    for (const auto& [prefix, geometry] :
-         {std::pair<const char*, const GeometryBuffers*>{"", &geometry_}, {"previous ", &previous_}}) {
-        add(std::string(prefix) + "normal and depth", geometry->normal_depth);
-        add(std::string(prefix) + "depth gradient", geometry->gradient);
-        add(std::string(prefix) + "object id", geometry->object_id);
-        add(std::string(prefix) + "history length", geometry->history_length);
-    }
-    for (int s = 0; s < max_signals; ++s) {
-        const std::string signal = std::string(" ") + signal_suffix[s];
-        add("working" + signal, signal_[s].working);
-        add("scratch" + signal, signal_[s].scratch);
-        add("history" + signal, signal_[s].history);
-        add("moments" + signal, signal_[s].moments);
-        add("previous moments" + signal, signal_[s].previous_moments);
-    }
+    add("guides", guides_);
+    add("previous guides", previous_guides_);
+    add("working colour", working_);
+    add("scratch colour", scratch_);
+    add("history", history_);
+    add("moments", moments_);
+    add("previous moments", previous_moments_);
     add("repair counter", repaired_);
     return list;
 }
@@ -286,52 +371,12 @@ const HostImage& find_image(const HostImages& images, const std::string& name, s
     return found->second;
 }
 
-// A Vec4 image from three channels and, where there is one, a fourth from another image.
-std::vector<Vec4> join(const HostImage& rgb, const HostImage* w) {
-    std::vector<Vec4> joined(rgb.values.size() / 3);
-    for (size_t i = 0; i < joined.size(); ++i)
-        joined[i] = {rgb.values[3 * i], rgb.values[3 * i + 1], rgb.values[3 * i + 2], w ? w->values[i] : 0.0f};
-    return joined;
-}
-
-HostImage rgb_of(const std::vector<Vec4>& joined) {
-    HostImage image{3, {}};
-    for (const Vec4& v : joined) image.values.insert(image.values.end(), {v.x, v.y, v.z});
-    return image;
-}
-
-HostImage w_of(const std::vector<Vec4>& joined) {
-    HostImage image{1, {}};
-    for (const Vec4& v : joined) image.values.push_back(v.w);
-    return image;
-}
-
-std::vector<Vec2> pairs(const HostImage& image) {
-    std::vector<Vec2> result(image.values.size() / 2);
-    for (size_t i = 0; i < result.size(); ++i) result[i] = {image.values[2 * i], image.values[2 * i + 1]};
-    return result;
-}
-
-HostImage pairs(const std::vector<Vec2>& image) {
-    HostImage result{2, {}};
-    for (const Vec2& v : image) result.values.insert(result.values.end(), {v.x, v.y});
-    return result;
-}
-
 template <class T>
 std::vector<T> upload_values(const HostImage& image) {
     return std::vector<T>(image.values.begin(), image.values.end());
 }
 
 }  // namespace
-
-void Denoiser::upload_guides(const HostImages& arrays, const std::string& prefix, GeometryBuffers& buffers) {
-    const size_t pixels = size_t(width_) * height_;
-    buffers.normal_depth.upload(join(find_image(arrays, prefix + "normal", pixels, 3),
-                                     &find_image(arrays, prefix + "depth", pixels, 1)));
-    buffers.gradient.upload(pairs(find_image(arrays, prefix + "depth_gradient", pixels, 2)));
-    buffers.object_id.upload(upload_values<int32_t>(find_image(arrays, prefix + "object_id", pixels, 1)));
-}
 
 HostImages Denoiser::run_stage(const std::string& stage, const HostImages& arrays, int level) {
     const auto given = [&](const std::string& name) { return arrays.contains(name); };
@@ -342,20 +387,76 @@ HostImages Denoiser::run_stage(const std::string& stage, const HostImages& array
     }
     if (signals < 1 || signals > max_signals) throw InputError("A stage needs one or two signals.");
     if (level < 0 || level >= 16) throw InputError("The level is out of range.");
-    for (int s = 0; s < signals; ++s) allocate_signal(s);
-    has_history_ = false;
-    return signals == 1 ? run_stage_of<1>(stage, arrays, level) : run_stage_of<2>(stage, arrays, level);
+    return with_method([&]<class Method>() {
+        allocate<typename Method::Storage>(signals);
+        has_history_ = false;
+        return signals == 1 ? run_stage_of<Method, 1>(stage, arrays, level)
+                            : run_stage_of<Method, 2>(stage, arrays, level);
+    });
 }
 
-template <int Signals>
+template <class Method, int Signals>
 HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& arrays, int level) {
-    const size_t pixels = size_t(width_) * height_;
+    using Storage = typename Method::Storage;
+    const size_t pixels = this->pixels();
     const auto image = [&](const std::string& name, int channels) -> const HostImage& {
         return find_image(arrays, name, pixels, channels);
     };
+    // The working colour of a frame may be borrowed; a stage alone has its own.
+    Memory own_working;
+    if (!working_) own_working = Memory(device_, pixels * Signals * Storage::color_bytes, "working colour");
+    borrowed_ = own_working.data();
+
+    // Images are packed and unpacked on the host, by the stages' own code.
+    const auto upload_color = [&](Place place, int s, const HostImage& rgb, const HostImage* variance) {
+        std::vector<std::byte> memory(pixels * Storage::color_bytes);
+        const typename Storage::Color color{memory.data()};
+        for (size_t i = 0; i < pixels; ++i)
+            color.store(int(i), {rgb.values[3 * i], rgb.values[3 * i + 1], rgb.values[3 * i + 2],
+                                 variance ? variance->values[i] : 0.0f});
+        device_.upload(color_of<Storage>(place, s).texels, memory.data(), memory.size());
+    };
+    const auto download_color = [&](Place place, int s, HostImage& rgb, HostImage& variance) {
+        std::vector<std::byte> memory(pixels * Storage::color_bytes);
+        device_.download(memory.data(), color_of<Storage>(place, s).texels, memory.size());
+        const typename Storage::Color color{memory.data()};
+        rgb = {3, {}};
+        variance = {1, {}};
+        for (size_t i = 0; i < pixels; ++i) {
+            const Vec4 c = color[int(i)];
+            rgb.values.insert(rgb.values.end(), {c.x, c.y, c.z});
+            variance.values.push_back(c.w);
+        }
+    };
+    const auto upload_moments = [&](Memory& to, int s, const HostImage& values) {
+        std::vector<std::byte> memory(pixels * Storage::moments_bytes);
+        const typename Storage::Moments moments{memory.data()};
+        for (size_t i = 0; i < pixels; ++i) moments.store(int(i), {values.values[2 * i], values.values[2 * i + 1]});
+        device_.upload(moments_of<Storage>(to, s).texels, memory.data(), memory.size());
+    };
+    const auto upload_guides = [&](const std::string& prefix, Memory& to, const std::string& length_name) {
+        const HostImage &normal = image(prefix + "normal", 3), &depth = image(prefix + "depth", 1),
+                        &gradient = image(prefix + "depth_gradient", 2), &id = image(prefix + "object_id", 1);
+        const HostImage* length = length_name.empty() ? nullptr : &image(length_name, 1);
+        std::vector<std::byte> memory(to.size());
+        const typename Storage::Guides guides(memory.data(), width_, height_);
+        for (size_t i = 0; i < pixels; ++i) {
+            const float* const n = &normal.values[3 * i];
+            guides.store(int(i), {n[0], n[1], n[2], depth.values[i]},
+                         {gradient.values[2 * i], gradient.values[2 * i + 1]}, int32_t(id.values[i]));
+            if (length) guides.store_length(int(i), length->values[i]);
+        }
+        to.upload(memory);
+    };
+    const auto download_guides = [&](auto&& take) {
+        std::vector<std::byte> memory = guides_.download();
+        const typename Storage::Guides guides(memory.data(), width_, height_);
+        for (size_t i = 0; i < pixels; ++i) take(guides, int(i));
+    };
     const auto numbered = [](const char* name, int s) { return std::string(name) + signal_suffix[s]; };
+    const auto given = [&](const std::string& name) { return arrays.contains(name); };
     const auto temporal_only = [&] {
-        if (method_ != DenoiseMethod::svgf) throw InputError("The stage " + stage + " belongs to svgf alone.");
+        if (!is_temporal()) throw InputError("The stage " + stage + " belongs to svgf alone.");
     };
     HostImages result;
 
@@ -384,25 +485,28 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         });
     }
 
+    HostImage unused;
     if (stage == "demodulate") {
-        demodulate<Signals>(inputs);
-        const std::vector<Vec4> normal_depth = geometry_.normal_depth.download();
-        result["normal"] = rgb_of(normal_depth);
-        result["depth"] = w_of(normal_depth);
-        result["depth_gradient"] = pairs(geometry_.gradient.download());
-        const std::vector<int32_t> ids = geometry_.object_id.download();
-        result["object_id"] = {1, std::vector<float>(ids.begin(), ids.end())};
+        repaired_.clear();
+        launch("demodulate", demodulate<Storage, Signals>(inputs));
+        HostImage normal{3, {}}, depth{1, {}}, gradient{2, {}}, id{1, {}};
+        download_guides([&](const typename Storage::Guides& guides, int pixel) {
+            const Vec4 n = guides.normal_depth(pixel);
+            const Vec2 g = guides.gradient(pixel);
+            normal.values.insert(normal.values.end(), {n.x, n.y, n.z});
+            depth.values.push_back(n.w);
+            gradient.values.insert(gradient.values.end(), {g.x, g.y});
+            id.values.push_back(float(guides.object_id(pixel)));
+        });
+        result = {{"normal", normal}, {"depth", depth}, {"depth_gradient", gradient}, {"object_id", id}};
         for (int s = 0; s < Signals; ++s)
-            result[numbered("illumination", s)] = rgb_of(signal_[s].working.download());
+            download_color(Place::working, s, result[numbered("illumination", s)], unused);
     } else if (stage == "temporal") {
         temporal_only();
         repaired_.clear();
-        upload_guides(arrays, "", geometry_);
+        upload_guides("", guides_, "");
         has_history_ = arrays.contains("hist_length");
-        if (has_history_) {
-            upload_guides(arrays, "prev_", previous_);
-            previous_.history_length.upload(image("hist_length", 1).values);
-        }
+        if (has_history_) upload_guides("prev_", previous_guides_, "hist_length");
         Buffer<float> motion;
         if (const auto found = arrays.find("motion"); found != arrays.end()) {
             motion = Buffer<float>(device_, std::span<const float>(found->second.values), "motion");
@@ -410,60 +514,69 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             inputs.motion_channels = found->second.channels;
         }
         for (int s = 0; s < Signals; ++s) {
-            signal_[s].working.upload(join(image(numbered("illumination", s), 3), nullptr));
+            upload_color(Place::working, s, image(numbered("illumination", s), 3), nullptr);
             if (!has_history_) continue;
-            signal_[s].history.upload(join(image(numbered("hist_color", s), 3), nullptr));
-            signal_[s].previous_moments.upload(pairs(image(numbered("hist_moments", s), 2)));
+            upload_color(Place::history, s, image(numbered("hist_color", s), 3), nullptr);
+            upload_moments(previous_moments_, s, image(numbered("hist_moments", s), 2));
         }
-        temporal<Signals>(inputs);
+        launch("temporal", temporal<Storage, Signals>(inputs));
         for (int s = 0; s < Signals; ++s) {
-            result[numbered("color", s)] = rgb_of(signal_[s].working.download());
-            result[numbered("moments", s)] = pairs(signal_[s].moments.download());
+            download_color(Place::working, s, result[numbered("color", s)], unused);
+            std::vector<std::byte> memory(pixels * Storage::moments_bytes);
+            device_.download(memory.data(), moments_of<Storage>(moments_, s).texels, memory.size());
+            const typename Storage::Moments moments{memory.data()};
+            HostImage& values = result[numbered("moments", s)] = {2, {}};
+            for (size_t i = 0; i < pixels; ++i) values.values.insert(values.values.end(), {moments[int(i)].x, moments[int(i)].y});
         }
-        result["history_length"] = {1, geometry_.history_length.download()};
+        HostImage& length = result["history_length"] = {1, {}};
+        download_guides([&](const typename Storage::Guides& guides, int pixel) {
+            length.values.push_back(guides.length(pixel));
+        });
         has_history_ = false;
     } else if (stage == "variance") {
         temporal_only();
-        upload_guides(arrays, "", geometry_);
-        geometry_.history_length.upload(image("history_length", 1).values);
+        upload_guides("", guides_, "history_length");
         for (int s = 0; s < Signals; ++s) {
-            std::vector<Vec4> color(pixels);
-            const std::vector<Vec2> moments = pairs(image(numbered("moments", s), 2));
-            for (size_t i = 0; i < pixels; ++i) color[i].w = moments[i].y;  // as temporal leaves it
-            signal_[s].moments.upload(moments);
-            signal_[s].working.upload(color);
+            const HostImage& moments = image(numbered("moments", s), 2);
+            HostImage variance{1, {}};
+            for (size_t i = 0; i < pixels; ++i)
+                variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
+            upload_moments(moments_, s, moments);
+            upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
         }
-        variance<Signals>();
-        for (int s = 0; s < Signals; ++s) result[numbered("variance", s)] = w_of(signal_[s].working.download());
+        variance<Method, Signals>();
+        for (int s = 0; s < Signals; ++s) download_color(Place::working, s, unused, result[numbered("variance", s)]);
     } else if (stage == "atrous") {
-        const bool svgf = method_ == DenoiseMethod::svgf;
-        upload_guides(arrays, "", geometry_);
+        const Place to = is_temporal() ? Place::history : Place::scratch;
+        upload_guides("", guides_, "");
         for (int s = 0; s < Signals; ++s)
-            filtered(s, level).upload(join(image(numbered("color", s), 3),
-                                           svgf ? &image(numbered("variance", s), 1) : nullptr));
-        Vec4 window = DenoiseInputs::default_window;
-        if (const auto found = arrays.find("window"); found != arrays.end()) {
-            const std::vector<float>& edges = found->second.values;
-            if (edges.size() != 4) throw InputError("The window needs four numbers.");
-            window = {edges[0], edges[1], edges[2], edges[3]};
+            upload_color(Place::working, s, image(numbered("color", s), 3),
+                         is_temporal() ? &image(numbered("variance", s), 1) : nullptr);
+        if (is_temporal()) {
+            atrous<Method, Signals>(level, Place::working, to);
+        } else {
+            Vec4 window = DenoiseInputs::default_window;
+            if (const auto found = arrays.find("window"); found != arrays.end()) {
+                const std::vector<float>& edges = found->second.values;
+                if (edges.size() != 4) throw InputError("The window needs four numbers.");
+                window = {edges[0], edges[1], edges[2], edges[3]};
+            }
+            edge_avoiding<Signals>(level, window, Place::working, to);
         }
-        atrous<Signals>(level, window);
-        for (int s = 0; s < Signals; ++s) {
-            const std::vector<Vec4> color = filtered(s, level + 1).download();
-            result[numbered("color", s)] = rgb_of(color);
-            if (svgf) result[numbered("variance", s)] = w_of(color);
-        }
+        for (int s = 0; s < Signals; ++s)
+            download_color(to, s, result[numbered("color", s)],
+                           is_temporal() ? result[numbered("variance", s)] : unused);
     } else if (stage == "modulate") {
         repaired_.clear();
-        geometry_.normal_depth.clear();
-        for (int s = 0; s < Signals; ++s)
-            filtered(s, levels()).upload(join(image(numbered("color", s), 3),
-                                              arrays.contains(numbered("variance", s))
-                                                  ? &image(numbered("variance", s), 1)
-                                                  : nullptr));
+        guides_.clear();
+        for (int s = 0; s < Signals; ++s) {
+            const std::string name = numbered("variance", s);
+            upload_color(Place::working, s, image(numbered("color", s), 3), given(name) ? &image(name, 1) : nullptr);
+        }
         Buffer<float> color(device_, 3 * pixels, "color"), spread(device_, pixels, "variance"),
             length(device_, pixels, "history length");
-        modulate<Signals>(inputs, {color.data(), spread.data(), length.data()});
+        const DenoiseOutputs outputs{color.data(), spread.data(), length.data()};
+        launch("modulate", modulate<Storage, Signals>(inputs, outputs, Place::working));
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
     } else {

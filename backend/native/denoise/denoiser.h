@@ -7,6 +7,10 @@
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
+// Demodulate and temporal run in one launch, and the last level hands its result to modulate, without a detour through
+// memory. Two pieces of memory serve twice: the guides of the frame before, once temporal has read them, as scratch
+// between levels; and the caller's colour image, where a texel of working colour fits into its 12 bytes, until the last
+// stage writes it.
 #pragma once
 
 #include <cstdint>
@@ -19,12 +23,11 @@
 
 #include "core/vec.h"
 #include "device/device.h"
-#include "denoise/guides.h"
 #include "denoise/settings.h"
 
 namespace svgf {
 
-enum class DenoiseMethod { none, eaw, svgf };
+enum class DenoiseMethod { none, eaw, svgf, svgf_plus };
 
 std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name);
 
@@ -78,16 +81,27 @@ struct BufferInfo {
     size_t bytes;
 };
 
+template <class Storage, int Signals> struct Demodulate;
+template <class Storage, int Signals> struct Temporal;
+template <class Storage, int Signals> struct Modulate;
+
 class Denoiser {
 public:
-    // width, height >= 1. Allocates the buffers of one signal; the first frame with two adds the other's.
+    // width, height >= 1. Allocates what one signal needs.
     Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings);
+
+    // Allocates what so many signals need; a frame with more than all before does it, too.
+    void prepare(int signals);
 
     // One frame. reset forgets the history first, as does another number of signals than last frame's.
     void denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset);
 
     // Takes effect at the next frame, history stays.
     void set_settings(const DenoiseSettings& settings) { settings_ = settings; }
+
+    // Bytes that each stage of the last frame had to move at least: every image that it reads or writes, once.
+    using Traffic = std::vector<std::pair<std::string, size_t>>;
+    const Traffic& traffic() const { return traffic_; }
 
     // Values of the last frame's (or stage's) inputs and history that were repaired. Waits for the device.
     int repaired() const;
@@ -110,41 +124,50 @@ public:
     DenoiseMethod method() const { return method_; }
 
 private:
-    // A signal's images. `working` is what the stages hand on, `history` the first level of the frame before.
-    struct SignalBuffers {
-        Buffer<Vec4> working, scratch, history;    // rgb, luminance variance
-        Buffer<Vec2> moments, previous_moments;    // mean, variance of luminance
-    };
-    // The repaired G-buffer, see guides.h; frames in the history that goes with it.
-    struct GeometryBuffers {
-        Buffer<Vec4> normal_depth;
-        Buffer<Vec2> gradient;
-        Buffer<int32_t> object_id;
-        Buffer<float> history_length;
-    };
+    using Memory = Buffer<std::byte>;
+    // Where colour lies between the stages. `working` is what temporal leaves, `history` the first level [Schied17].
+    enum class Place { working, scratch, history };
 
-    void allocate_signal(int signal);
+    bool is_temporal() const { return method_ == DenoiseMethod::svgf || method_ == DenoiseMethod::svgf_plus; }
     int levels() const { return method_ == DenoiseMethod::none ? 0 : settings_.levels; }
-    Buffer<Vec4>& filtered(int signal, int levels);
-    Guides guides_of(const GeometryBuffers& buffers) const;
-    void upload_guides(const HostImages& arrays, const std::string& prefix, GeometryBuffers& buffers);
-    template <int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
-    template <int Signals> void demodulate(const DenoiseInputs& inputs);
-    template <int Signals> void temporal(const DenoiseInputs& inputs);
-    template <int Signals> void variance();
-    template <int Signals> void atrous(int level, const Vec4& window);
-    template <int Signals> void modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
-    template <int Signals> HostImages run_stage_of(const std::string& stage, const HostImages& arrays, int level);
+    size_t pixels() const { return size_t(width_) * height_; }
+
+    // For all signals together; what is there is kept.
+    template <class Storage> void allocate(int signals);
+    template <class Storage> typename Storage::Guides guides_of(Memory& memory);
+    template <class Storage> typename Storage::Color color_of(Place place, int signal);
+    template <class Storage> typename Storage::Moments moments_of(Memory& memory, int signal);
+    template <class Run> auto with_method(Run run);
+
+    template <class Method, int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
+    template <class Storage, int Signals> Demodulate<Storage, Signals> demodulate(const DenoiseInputs& inputs);
+    template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
+    template <class Method, int Signals> void variance();
+    template <class Method, int Signals, class Sink>
+    void atrous(const char* name, int level, Place from, const Sink& sink);
+    template <class Method, int Signals> void atrous(int level, Place from, Place to);
+    template <int Signals> void edge_avoiding(int level, const Vec4& window, Place from, Place to);
+    template <class Storage, int Signals>
+    Modulate<Storage, Signals> modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, Place from);
+    template <class Method, int Signals>
+    HostImages run_stage_of(const std::string& stage, const HostImages& arrays, int level);
+
+    template <class Stage> void launch(const char* name, const Stage& stage);
+    template <class Stage> void launch_tiles(const char* name, const Stage& stage);
+    void add_traffic(const char* name, int bytes_per_pixel);
 
     Device& device_;
     int width_, height_;
     DenoiseMethod method_;
     DenoiseSettings settings_;
     int signals_ = 0;           // of the last frame
-    bool has_history_ = false;  // previous_ and the signals' history hold the frame before
-    SignalBuffers signal_[max_signals];
-    GeometryBuffers geometry_, previous_;
+    bool has_history_ = false;  // previous_guides_, history_ and previous_moments_ hold the frame before
+    Memory guides_, previous_guides_;
+    Memory working_, scratch_, history_;    // colour, one image per signal after the other
+    Memory moments_, previous_moments_;     // of luminance, likewise
+    std::byte* borrowed_ = nullptr;         // the caller's colour image as working memory, during a frame
     Buffer<int> repaired_;
+    Traffic traffic_;
 };
 
 }  // namespace svgf

@@ -1,15 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the stages know of the surfaces behind the pixels, repaired, and the edge weights that follow from it.
-//
-// Guides are three images, so that each stage loads only what it needs: normal and depth together (one 16-byte load per
-// filter tap), the gradient (centre pixel only, or history taps) and the object id (temporal only). Where there is no
-// surface, depth is `background_depth`, the object id 0 and the rest 0: such a pixel takes part in nothing.
+// What is good in the inputs and what is repaired, and the weights by which pixels of one surface are told from others.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 
+#include "core/approximate.h"
 #include "core/vec.h"
+#include "denoise/storage.h"
 
 namespace svgf {
 
@@ -49,29 +47,56 @@ SVGF_HD inline Vec3 load3(const float* image, int pixel) {
     return {image[3 * pixel], image[3 * pixel + 1], image[3 * pixel + 2]};
 }
 
-struct Guides {
-    const Vec4* normal_depth = nullptr;
-    const Vec2* gradient = nullptr;
-    const int32_t* object_id = nullptr;
-    int width = 0, height = 0;
+SVGF_HD inline bool is_surface(float depth) { return depth < background_depth; }
 
-    SVGF_HD bool contains(int x, int y) const { return x >= 0 && x < width && y >= 0 && y < height; }
-    SVGF_HD int pixel(int x, int y) const { return y * width + x; }
+constexpr float log2_e = 1.44269504088896341f, ln_2 = 0.693147180559945309f;
+
+// w_z and w_n of a pixel's taps [Schied17, Eq. 3, 4] as logarithms to the base 2, so that a signal's w_l joins them
+// under one exponential. A tap whose depth is infinity weighs 0. Normal is how w_n follows from the cosine between the
+// normals:
+//
+//   CosinePower   cosine^sigma, the paper's
+//   CosineLobe    exp(sigma (cosine - 1)), the same to second order where it is not small, and three multiply-adds
+struct CosinePower {
+    Vec3 normal;
+    float sigma;
+
+    SVGF_HD CosinePower(Vec3 normal, float sigma) : normal(normal), sigma(sigma) {}
+    SVGF_HD float operator()(Vec3 tap, float kernel_log2) const {
+        return sigma * fast_log2(max(dot(normal, tap), 0.0f)) + kernel_log2;
+    }
 };
 
-SVGF_HD inline bool is_surface(Vec4 normal_depth) { return normal_depth.w < background_depth; }
+struct CosineLobe {
+    Vec3 scaled_normal;
+    float offset;
 
-// Natural logarithm of w_z w_n for the tap q = p + (dx, dy) [Schied17, Eq. 3, 4], so that a signal's w_l joins it under
-// one exponential. False if the weight is 0.
-SVGF_HD inline bool edge_weight_log(Vec4 p, Vec4 q, Vec2 gradient, int dx, int dy, float sigma_depth,
-                                    float sigma_normal, float& weight_log) {
-    if (!is_surface(q)) return false;
-    const float cosine = dot(p.xyz(), q.xyz());
-    if (!(cosine > 0.0f)) return false;
-    const float explained = std::fabs(gradient.x * float(dx) + gradient.y * float(dy));
-    weight_log = sigma_normal * std::log(cosine) -
-                 std::fabs(p.w - q.w) / (sigma_depth * explained + depth_epsilon * p.w + 1e-30f);
-    return true;
-}
+    SVGF_HD CosineLobe(Vec3 normal, float sigma) : scaled_normal(normal * (sigma * log2_e)), offset(-sigma * log2_e) {}
+    SVGF_HD float operator()(Vec3 tap, float kernel_log2) const {
+        return scaled_normal.x * tap.x +
+               (scaled_normal.y * tap.y + (scaled_normal.z * tap.z + (offset + kernel_log2)));
+    }
+};
+
+template <class Normal>
+struct EdgeWeight {
+    Normal normal;
+    float depth, tolerance;
+    Vec2 slope;
+
+    SVGF_HD EdgeWeight(Vec4 normal_depth, Vec2 gradient, float sigma_depth, float sigma_normal)
+        : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w),
+          tolerance((depth_epsilon * depth + 1e-30f) * ln_2), slope((sigma_depth * ln_2) * gradient) {}
+
+    // Of depth differences to taps (i, j) steps away; the same for (-i, -j).
+    SVGF_HD float depth_scale(int i, int j, float step) const {
+        const float x = float(i) * (slope.x * step), y = float(j) * (slope.y * step);
+        return fast_reciprocal((i == 0 ? std::fabs(y) : j == 0 ? std::fabs(x) : std::fabs(x + y)) + tolerance);
+    }
+    // kernel_log2: of the tap's place in the kernel.
+    SVGF_HD float operator()(Vec4 tap, float depth_scale, float kernel_log2 = 0.0f) const {
+        return normal(tap.xyz(), kernel_log2) - std::fabs(tap.w - depth) * depth_scale;
+    }
+};
 
 }  // namespace svgf

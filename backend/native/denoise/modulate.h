@@ -7,28 +7,40 @@
 
 namespace svgf {
 
-template <int Signals>
+template <class Storage, int Signals>
 struct Modulate {
-    int width;
-    const Vec4* in_color[Signals];  // rgb, variance
+    typename Storage::Color in_color[Signals];  // as a sink of the last level of "atrous": not read
     const float* in_albedo[Signals][2];
     const float* in_emission;
-    const Vec4* in_normal_depth;
-    const float* in_length;  // null: no temporal mean, the frame stands alone
+    typename Storage::Guides guides;
+    bool has_length;  // false: no temporal mean, the frame stands alone
     float* out_color;           // [H, W, 3]
     float* out_variance;        // [H, W] of luminance, signals taken as independent
     float* out_history_length;  // [H, W] frames
     int* out_repaired;
 
+    int bytes_per_pixel() const { return sink_bytes_per_pixel() + Signals * Storage::color_bytes + 4; }
+    int sink_bytes_per_pixel() const {
+        int bytes = (in_emission ? 12 : 0) + 12 + 4 + 4;
+        for (int s = 0; s < Signals; ++s) bytes += (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0);
+        return bytes;
+    }
+
     SVGF_HD void operator()(int x, int y) const {
-        const int pixel = y * width + x;
+        const int pixel = guides.pixel(x, y);
+        Vec4 filtered[Signals];
+        for (int s = 0; s < Signals; ++s) filtered[s] = in_color[s][pixel];
+        (*this)(pixel, filtered);
+    }
+
+    SVGF_HD void operator()(int pixel, const Vec4 (&filtered)[Signals]) const {
         int repaired = 0, repaired_before = 0;  // demodulate has counted the albedos
         Vec3 color;
         float variance = 0.0f;
         if (in_emission) color = repair(load3(in_emission, pixel), repaired);
         for (int s = 0; s < Signals; ++s) {
             const Vec3 albedo = signal_albedo(in_albedo[s], pixel, repaired_before);
-            const Vec4 c = in_color[s][pixel];
+            const Vec4 c = filtered[s];
             color += c.xyz() * albedo;
             variance += c.w * square(luminance(albedo));
         }
@@ -36,7 +48,7 @@ struct Modulate {
         out_color[3 * pixel + 1] = color.y;
         out_color[3 * pixel + 2] = color.z;
         out_variance[pixel] = min(variance, largest_float);
-        out_history_length[pixel] = in_length ? in_length[pixel] : is_surface(in_normal_depth[pixel]) ? 1.0f : 0.0f;
+        out_history_length[pixel] = has_length ? guides.length(pixel) : is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
         count(out_repaired, repaired);
     }
 };

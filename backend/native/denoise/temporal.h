@@ -25,36 +25,45 @@ constexpr float least_tap_weight = 0.01f;
 // Share of depth that the test forgives if motion does not say the expected previous depth.
 constexpr float unknown_depth_tolerance = 0.1f;
 
-template <int Signals>
+template <class Storage, int Signals>
 struct Temporal {
+    using Guides = typename Storage::Guides;
+
     Guides guides;
-    Guides prev_guides;  // normal_depth null: no history
+    Guides prev_guides;  // false: no history
     const float* in_motion;  // null: nothing moved
     int motion_channels;
-    const Vec4* in_illumination[Signals];
-    const Vec4* hist_color[Signals];
-    const Vec2* hist_moments[Signals];  // mean, variance of luminance
-    const float* hist_length;
+    typename Storage::Color in_illumination[Signals], hist_color[Signals];
+    typename Storage::Moments hist_moments[Signals];
     float alpha, alpha_moments, depth_tolerance, normal_tolerance;
-    Vec4* out_color[Signals];  // rgb, variance of luminance over time
-    Vec2* out_moments[Signals];
-    float* out_length;
+    typename Storage::Color out_color[Signals];  // with the variance over time; in_illumination may be the same
+    typename Storage::Moments out_moments[Signals];
     int* out_repaired;
+
+    int bytes_per_pixel() const {
+        const int history = Signals * (Storage::color_bytes + Storage::moments_bytes) + Storage::guide_bytes;
+        return Storage::guide_bytes + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) +
+               (in_motion ? 4 * motion_channels : 0) + (prev_guides ? history : 0);
+    }
+    // Where demodulate has just written this pixel's guides and colour, which are written again or not at all.
+    int bytes_per_pixel_after_demodulate() const {
+        return bytes_per_pixel() - Storage::guide_bytes - Signals * 2 * Storage::color_bytes;
+    }
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y);
         Mean old;
-        const Vec4 surface = guides.normal_depth[pixel];
-        if (!is_surface(surface)) {
+        const Vec4 surface = guides.normal_depth(pixel);
+        if (!is_surface(surface.w)) {
             for (int s = 0; s < Signals; ++s) {
-                out_color[s][pixel] = in_illumination[s][pixel];
-                out_moments[s][pixel] = {};
+                out_color[s].store(pixel, in_illumination[s][pixel]);
+                out_moments[s].store(pixel, {});
             }
-            out_length[pixel] = 0.0f;
+            guides.store_length(pixel, 0.0f);
             return;
         }
         int repaired = 0;
-        if (prev_guides.normal_depth) read_history(x, y, surface, old, repaired);
+        if (prev_guides) read_history(x, y, surface, old, repaired);
         count(out_repaired, repaired);
 
         const float length = old.length + 1.0f;
@@ -65,10 +74,10 @@ struct Temporal {
             const float light = luminance(color), old_variance = old.weight > 0.0f ? old.squares[s] / old.weight : 0.0f;
             const Vec2 moments = {(1.0f - a_moments) * old.mean[s] + a_moments * light,
                                   (1.0f - a_moments) * (old_variance + a_moments * square(light - old.mean[s]))};
-            out_color[s][pixel] = {mean.x, mean.y, mean.z, moments.y};
-            out_moments[s][pixel] = moments;
+            out_color[s].store(pixel, {mean.x, mean.y, mean.z, moments.y});
+            out_moments[s].store(pixel, moments);
         }
-        out_length[pixel] = length;
+        guides.store_length(pixel, length);
     }
 
 private:
@@ -108,7 +117,7 @@ private:
         point.expected_depth = surface.w + motion.z;
         point.tolerance = tolerance * std::fabs(point.expected_depth);
         point.normal = surface.xyz();
-        point.object_id = guides.object_id[pixel];
+        point.object_id = guides.object_id(pixel);
 
         const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
         const float fx = point.x - float(left), fy = point.y - float(top);
@@ -132,10 +141,10 @@ private:
     SVGF_HD void add_tap(int x, int y, float weight, const Reprojection& point, Mean& old, int& repaired) const {
         if (!prev_guides.contains(x, y)) return;
         const int pixel = prev_guides.pixel(x, y);
-        if (prev_guides.object_id[pixel] != point.object_id) return;
-        const Vec4 tap = prev_guides.normal_depth[pixel];
+        if (prev_guides.object_id(pixel) != point.object_id) return;
+        const Vec4 tap = prev_guides.normal_depth(pixel);
         if (!(dot(tap.xyz(), point.normal) >= normal_tolerance)) return;
-        const Vec2 slope = prev_guides.gradient[pixel];
+        const Vec2 slope = prev_guides.gradient(pixel);
         const float plane = tap.w + slope.x * (point.x - float(x)) + slope.y * (point.y - float(y));
         const float allowed = point.tolerance + 0.5f * (std::fabs(slope.x) + std::fabs(slope.y));
         if (!(std::fabs(plane - point.expected_depth) <= allowed)) return;
@@ -146,7 +155,7 @@ private:
         const float before = old.weight;
         old.weight += weight;
         const float share = weight / old.weight;
-        old.length += (hist_length[pixel] - old.length) * share;
+        old.length += (prev_guides.length(pixel) - old.length) * share;
         for (int s = 0; s < Signals; ++s) {
             old.color[s] += (hist_color[s][pixel].xyz() - old.color[s]) * share;
             const Vec2 moments = hist_moments[s][pixel];
@@ -158,7 +167,8 @@ private:
 
     // What is stored is numbers that an accumulation can have left there.
     SVGF_HD bool is_usable(int pixel) const {
-        bool good = in_range(hist_length[pixel], 0.0f, 16777216.0f);
+        if constexpr (!Storage::holds_any_bits) return true;
+        bool good = in_range(prev_guides.length(pixel), 0.0f, 16777216.0f);
         for (int s = 0; s < Signals; ++s) {
             const Vec4 color = hist_color[s][pixel];
             const Vec2 moments = hist_moments[s][pixel];

@@ -6,38 +6,39 @@
 // [Chan83]: the estimate is the variance of all samples in them, over time and over pixels, and is never negative.
 #pragma once
 
-#include "denoise/guides.h"
+#include "denoise/method.h"
 
 namespace svgf {
 
-template <int Signals>
+template <class Method, int Signals>
 struct Variance {
+    using Storage = typename Method::Storage;
     static constexpr int radius = 3;
 
-    Guides guides;
-    const Vec2* in_moments[Signals];
-    const float* in_length;
+    typename Storage::Guides guides;
+    typename Storage::Moments in_moments[Signals];
     float sigma_depth, sigma_normal;
     int spatial_variance_frames;
-    Vec4* out_color[Signals];  // w alone is written
+    typename Storage::Color out_color[Signals];  // the variance alone is written
+
+    int bytes_per_pixel() const { return Storage::length_bytes; }  // once history is long enough
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = guides.pixel(x, y);
-        if (in_length[pixel] >= float(spatial_variance_frames)) return;
-        const Vec4 p = guides.normal_depth[pixel];
-        if (!is_surface(p)) return;
-        const Vec2 gradient = guides.gradient[pixel];
+        if (guides.length(pixel) >= float(spatial_variance_frames)) return;
+        const Vec4 p = guides.normal_depth(pixel);
+        if (!is_surface(p.w)) return;
+        const EdgeWeight<typename Method::Normal> edge(p, guides.gradient(pixel), sigma_depth, sigma_normal);
         float weight = 0.0f, mean[Signals] = {}, squares[Signals] = {};
         for (int dy = -radius; dy <= radius; ++dy)
             for (int dx = -radius; dx <= radius; ++dx) {
                 if (!guides.contains(x + dx, y + dy)) continue;
                 const int tap = guides.pixel(x + dx, y + dy);
-                float w_log = 0.0f;
-                if (tap != pixel && !edge_weight_log(p, guides.normal_depth[tap], gradient, dx, dy, sigma_depth,
-                                                     sigma_normal, w_log))
-                    continue;
-                const float w = std::exp(w_log), before = weight;
+                const Vec4 q = guides.normal_depth(tap);
+                if (!is_surface(q.w)) continue;
+                const float w = tap == pixel ? 1.0f : fast_exp2(edge(q, edge.depth_scale(dx, dy, 1.0f)));
                 if (!(w > 0.0f)) continue;
+                const float before = weight;
                 weight += w;
                 const float share = w / weight;
                 for (int s = 0; s < Signals; ++s) {
@@ -47,7 +48,7 @@ struct Variance {
                     squares[s] += w * moments.y + before * share * difference * difference;
                 }
             }
-        for (int s = 0; s < Signals; ++s) out_color[s][pixel].w = squares[s] / weight;
+        for (int s = 0; s < Signals; ++s) out_color[s].store_variance(pixel, squares[s] / weight);
     }
 };
 

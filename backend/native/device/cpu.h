@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -47,6 +48,21 @@ public:
         });
     }
 
+    // See device/device.h.
+    template <class Stage>
+    void launch_tiles(const char* name, const Stage& stage) {
+        const int columns = stage.tile_columns(), rows = stage.tile_rows();
+        timed(name, size_t(columns) * rows, 1, [&](size_t begin, size_t end) {
+            const auto tile = std::make_unique<typename Stage::Tile>();
+            for (size_t t = begin; t < end; ++t) {
+                const int column = int(t % columns), row = int(t / columns);
+                for (int i = 0; i < stage.loads(); ++i) stage.load(*tile, column, row, i);
+                for (int y = 0; y < Stage::threads_y; ++y)
+                    for (int x = 0; x < Stage::threads_x; ++x) stage(*tile, column, row, x, y);
+            }
+        });
+    }
+
     template <class Stage>
     void launch(const char* name, int count, const Stage& stage) {
         timed(name, size_t(std::max(count, 0)), 4096, [&](size_t begin, size_t end) {
@@ -59,6 +75,11 @@ public:
     void launch_queue(const char* name, int capacity, const std::int32_t* count, const Stage& stage) {
         launch(name, std::min(*count, capacity), stage);
     }
+
+    // For the same source as on CUDA; there are no streams here.
+    struct StreamScope {
+        StreamScope(Device&, std::optional<uintptr_t>) {}
+    };
 
     // Milliseconds per stage since the last call, in launch order. Here every stage is one launch.
     std::vector<std::pair<std::string, double>> take_timings(bool = false) { return std::exchange(timings_, {}); }

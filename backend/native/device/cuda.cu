@@ -38,7 +38,9 @@ std::string hint_for(cudaError_t error) {
 
 Device::Device(int index) : index_(index) {
     check(cudaSetDevice(index), "");
-    check(cudaStreamCreate(&stream_), "");
+    check(cudaStreamCreate(&own_stream_), "");
+    check(cudaEventCreateWithFlags(&last_work_, cudaEventDisableTiming), "");
+    stream_ = own_stream_;
     // A pool of its own, so that neither other libraries' memory nor the driver's trimming gets mixed up with it.
     cudaMemPoolProps properties = {};
     properties.allocType = cudaMemAllocationTypePinned;
@@ -52,14 +54,17 @@ Device::Device(int index) : index_(index) {
 
 Device::~Device() {
     // The process may be on its way out, or the device lost: nothing here may throw.
-    if (!stream_) return;
-    cudaStreamSynchronize(stream_);
+    if (!own_stream_) return;
+    free_kept();
+    if (must_wait_) cudaEventSynchronize(last_work_);
+    cudaStreamSynchronize(own_stream_);
     for (auto& span : spans_) {
         cudaEventDestroy(span.begin);
         cudaEventDestroy(span.end);
     }
     for (auto event : free_events_) cudaEventDestroy(event);
-    cudaStreamDestroy(stream_);
+    cudaEventDestroy(last_work_);
+    cudaStreamDestroy(own_stream_);
     cudaMemPoolDestroy(pool_);
 }
 
@@ -72,31 +77,99 @@ void Device::check(cudaError_t error, const char* stage) const {
 
 void* Device::allocate(size_t bytes, const char* what) {
     cudaSetDevice(index_);  // the calling thread may have another one
+    StreamMemory memory{0, bytes};
+    if (stream_ != own_stream_) {
+        check(cudaStreamGetId(stream_, &memory.first), last_stage_);
+        std::lock_guard lock(mutex_);
+        if (const auto found = kept_.find(memory); found != kept_.end()) {
+            void* data = found->second;
+            kept_.erase(found);
+            in_use_[data] = memory;
+            return data;
+        }
+    }
     void* data = nullptr;
-    const cudaError_t error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream_);
+    cudaError_t error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream());
+    if (error == cudaErrorMemoryAllocation) {
+        cudaGetLastError();
+        free_kept();
+        error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream());
+    }
     if (error == cudaErrorMemoryAllocation) {
         cudaGetLastError();
         size_t free_bytes = 0, total_bytes = 0;
         cudaMemGetInfo(&free_bytes, &total_bytes);
         throw OutOfMemory(last_stage_,
-                          "The GPU has no room for " + std::string(what) + " (" + std::to_string(bytes >> 20) + " MiB; " +
-                              std::to_string(free_bytes >> 20) + " of " + std::to_string(total_bytes >> 20) + " MiB free).",
+                          "The GPU has no room for " + std::string(what) + " (" + std::to_string(bytes >> 20) +
+                              " MiB; " + std::to_string(free_bytes >> 20) + " of " +
+                              std::to_string(total_bytes >> 20) + " MiB free).",
                           "Render smaller, close other programs that use the GPU, or use device \"cpu\".");
     }
     check(error, last_stage_);
+    if (stream_ != own_stream_) {
+        std::lock_guard lock(mutex_);
+        in_use_[data] = memory;
+    }
     return data;
 }
 
 void Device::release(void* data) noexcept {
-    cudaFreeAsync(data, stream_);
+    {
+        std::lock_guard lock(mutex_);
+        if (const auto found = in_use_.find(data); found != in_use_.end()) {
+            kept_.emplace(found->second, data);
+            in_use_.erase(found);
+            return;
+        }
+    }
+    if (must_wait_) cudaStreamWaitEvent(own_stream_, last_work_);
+    cudaFreeAsync(data, own_stream_);
+}
+
+void Device::free_kept() {
+    std::lock_guard lock(mutex_);
+    if (kept_.empty()) return;
+    cudaDeviceSynchronize();
+    for (const auto& [memory, data] : kept_) cudaFreeAsync(data, own_stream_);
+    kept_.clear();
+    cudaStreamSynchronize(own_stream_);
+}
+
+cudaStream_t Device::stream() {
+    if (must_wait_ && stream_ == own_stream_) {
+        check(cudaStreamWaitEvent(own_stream_, last_work_), last_stage_);
+        must_wait_ = false;
+    }
+    return stream_;
+}
+
+Device::StreamScope::StreamScope(Device& device, std::optional<uintptr_t> stream)
+    : device_(stream ? &device : nullptr) {
+    if (!stream) return;
+    const auto theirs = reinterpret_cast<cudaStream_t>(*stream);
+    if (!device.must_wait_) device.check(cudaEventRecord(device.last_work_, device.own_stream_), device.last_stage_);
+    device.check(cudaStreamWaitEvent(theirs, device.last_work_), device.last_stage_);
+    device.stream_ = theirs;
+}
+
+Device::StreamScope::~StreamScope() {
+    if (!device_) return;
+    cudaEventRecord(device_->last_work_, device_->stream_);
+    device_->stream_ = device_->own_stream_;
+    device_->must_wait_ = true;
+}
+
+void Device::let_wait(uintptr_t other_stream) {
+    if (!must_wait_) check(cudaEventRecord(last_work_, own_stream_), last_stage_);
+    check(cudaStreamWaitEvent(reinterpret_cast<cudaStream_t>(other_stream), last_work_), last_stage_);
 }
 
 void Device::upload(void* device, const void* host, size_t bytes) {
-    if (bytes) check(cudaMemcpyAsync(device, host, bytes, cudaMemcpyHostToDevice, stream_), last_stage_);
+    if (bytes) check(cudaMemcpyAsync(device, host, bytes, cudaMemcpyHostToDevice, stream()), last_stage_);
 }
 
 void Device::download(void* host, const void* device, size_t bytes) {
-    if (bytes) check(cudaMemcpyAsync(host, device, bytes, cudaMemcpyDeviceToHost, stream_), last_stage_);
+    if (bytes) check(cudaMemcpyAsync(host, device, bytes, cudaMemcpyDeviceToHost, stream()), last_stage_);
     synchronize();
 }
 
@@ -132,14 +205,14 @@ std::shared_ptr<void> Device::host_memory(size_t bytes) {
 }
 
 void Device::copy(void* to, const void* from, size_t bytes) {
-    if (bytes) check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToDevice, stream_), last_stage_);
+    if (bytes) check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToDevice, stream()), last_stage_);
 }
 
 void Device::clear(void* device, size_t bytes) {
-    if (bytes) check(cudaMemsetAsync(device, 0, bytes, stream_), last_stage_);
+    if (bytes) check(cudaMemsetAsync(device, 0, bytes, stream()), last_stage_);
 }
 
-void Device::synchronize() { check(cudaStreamSynchronize(stream_), last_stage_); }
+void Device::synchronize() { check(cudaStreamSynchronize(stream()), last_stage_); }
 
 cudaEvent_t Device::new_event() {
     if (!free_events_.empty()) {
@@ -158,7 +231,7 @@ void Device::begin_stage(const char* name) {
     cudaSetDevice(index_);
     SVGF_RANGE_PUSH(name);
     spans_.push_back({name, new_event(), new_event()});
-    check(cudaEventRecord(spans_.back().begin, stream_), name);
+    check(cudaEventRecord(spans_.back().begin, stream()), name);
 }
 
 void Device::end_stage(const char* name) {
@@ -166,8 +239,8 @@ void Device::end_stage(const char* name) {
     const cudaError_t error = cudaGetLastError();
     if (error != cudaSuccess) spans_.pop_back();  // its end would never come
     check(error, name);
-    check(cudaEventRecord(spans_.back().end, stream_), name);
-    if (synchronize_each_stage_) check(cudaStreamSynchronize(stream_), name);
+    check(cudaEventRecord(spans_.back().end, stream()), name);
+    if (synchronize_each_stage_) check(cudaStreamSynchronize(stream()), name);
 }
 
 std::vector<std::pair<std::string, double>> Device::take_timings(bool by_launch) {

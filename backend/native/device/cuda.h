@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The CUDA device: one stream, and an event on each side of a launch for the timings.
+// The CUDA device: a stream of its own or, for a while, a caller's; an event on each side of a launch for the timings.
 #pragma once
 
 #include <cuda_runtime_api.h>
@@ -10,6 +10,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -25,6 +26,20 @@ __global__ void __launch_bounds__(threads, blocks)
     run_stage(const __grid_constant__ Stage stage, int width, int height) {
     const int x = blockIdx.x * blockDim.x + threadIdx.x, y = blockIdx.y * blockDim.y + threadIdx.y;
     if (x < width && y < height) stage(x, y);
+}
+
+template <class Stage>
+__global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::blocks)
+    run_tiles(const __grid_constant__ Stage stage) {
+    using Tile = typename Stage::Tile;
+    // Raw bytes: shared memory has no constructors.
+    __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
+    Tile& tile = *reinterpret_cast<Tile*>(memory);
+    constexpr int threads = Stage::threads_x * Stage::threads_y;
+    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += threads)
+        stage.load(tile, blockIdx.x, blockIdx.y, i);
+    __syncthreads();
+    stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
 }
 
 template <class Stage>
@@ -73,7 +88,16 @@ public:
         constexpr LaunchShape shape = launch_shape_of<Stage>();
         const dim3 block(shape.width, shape.height);
         const dim3 grid((width + shape.width - 1) / shape.width, (height + shape.height - 1) / shape.height);
-        run_stage<Stage, shape.width * shape.height, shape.blocks><<<grid, block, 0, stream_>>>(stage, width, height);
+        run_stage<Stage, shape.width * shape.height, shape.blocks><<<grid, block, 0, stream()>>>(stage, width, height);
+        end_stage(name);
+    }
+
+    // See device/device.h.
+    template <class Stage>
+    void launch_tiles(const char* name, const Stage& stage) {
+        begin_stage(name);
+        const dim3 block(Stage::threads_x, Stage::threads_y), grid(stage.tile_columns(), stage.tile_rows());
+        run_tiles<<<grid, block, 0, stream()>>>(stage);
         end_stage(name);
     }
 
@@ -81,7 +105,7 @@ public:
     void launch(const char* name, int count, const Stage& stage) {
         if (count <= 0) return;
         begin_stage(name);
-        run_stage<<<(count + 127) / 128, 128, 0, stream_>>>(stage, count);
+        run_stage<<<(count + 127) / 128, 128, 0, stream()>>>(stage, count);
         end_stage(name);
     }
 
@@ -93,7 +117,7 @@ public:
         constexpr LaunchShape shape = launch_shape_of<Stage>();
         constexpr int threads = shape.width * shape.height;
         run_queue<Stage, threads, shape.blocks>
-            <<<(capacity + threads - 1) / threads, threads, 0, stream_>>>(stage, count);
+            <<<(capacity + threads - 1) / threads, threads, 0, stream()>>>(stage, count);
         end_stage(name);
     }
 #endif
@@ -108,6 +132,24 @@ public:
     void clear_interrupt() { interrupted_ = false; }
 
     int index() const { return index_; }
+
+    // While it lives, all work and allocation is on the caller's stream; nothing given: on the device's own. Work of
+    // before and after keeps its order, as the streams wait for each other (the host does not). Afterwards the stream is
+    // not touched again, since it may be gone: memory that was allocated on it is kept for it when it is released, as
+    // only the stream itself can tell when what was queued there has been read.
+    class StreamScope {
+    public:
+        StreamScope(Device& device, std::optional<uintptr_t> stream);
+        ~StreamScope();
+        StreamScope(const StreamScope&) = delete;
+        StreamScope& operator=(const StreamScope&) = delete;
+
+    private:
+        Device* device_;  // null: nothing to undo
+    };
+
+    // What another stream does from here on sees all work until now.
+    void let_wait(uintptr_t other_stream);
 
 private:
     struct Span {
@@ -125,6 +167,9 @@ private:
         size_t free_bytes = 0, used_bytes = 0;
     };
 
+    // Where to put the next piece of work; waits for what the last stream had to do.
+    cudaStream_t stream();
+
     void begin_stage(const char* name);
     void end_stage(const char* name);
     void check(cudaError_t error, const char* stage) const;
@@ -133,7 +178,18 @@ private:
     int index_ = 0;
     // A blocking stream: it keeps order with the legacy default stream, on which CuPy and PyTorch work by default, so
     // arrays can be handed over in both directions without waiting.
-    cudaStream_t stream_ = nullptr;
+    cudaStream_t own_stream_ = nullptr;
+    cudaStream_t stream_ = nullptr;      // that work goes to now
+    cudaEvent_t last_work_ = nullptr;    // on a caller's stream
+    bool must_wait_ = false;             // the own stream, for last_work_
+
+    // Memory of a caller's stream: the number that no other stream ever gets, bytes.
+    using StreamMemory = std::pair<unsigned long long, size_t>;
+    std::mutex mutex_;  // of the two: images may die in any thread
+    std::map<void*, StreamMemory> in_use_;
+    std::multimap<StreamMemory, void*> kept_;
+
+    void free_kept();  // waits for all streams
     cudaMemPool_t pool_ = nullptr;
     bool synchronize_each_stage_ = false;  // SVGF_SYNCHRONIZE=1: the stage that failed is the one named
     const char* last_stage_ = "";

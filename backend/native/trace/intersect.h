@@ -23,7 +23,8 @@ namespace svgf {
 struct Ray {
     Vec3 origin;
     Vec3 direction;  // of any length; t counts in it
-    float t_min = 0, t_max = infinity;  // both excluded; t_min >= 0
+    float t_min = 0, t_max = infinity;   // both excluded; t_min >= 0
+    std::uint32_t kind = ray_kind::all;  // sees the instances that have one of its bits
 };
 
 struct Hit {
@@ -272,11 +273,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
             const std::uint32_t i = primitives.first + std::uint32_t(lowest_set_bit(primitives.bits));
             primitives.bits &= primitives.bits - 1;
             if (instance < 0) {
+                const std::int32_t next = scene.instance_order[i];
+                const Instance& placed = load(scene.instances + next);
+                if ((placed.visibility & ray.kind) == 0) continue;
                 if (group.has_nodes()) stack[stack_size++] = group;
                 if (primitives.bits) stack[stack_size++] = primitives;
                 instance_floor = stack_size;
-                instance = scene.instance_order[i];
-                const Instance& placed = load(scene.instances + instance);
+                instance = next;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
                 const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);

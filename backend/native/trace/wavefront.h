@@ -23,31 +23,77 @@ constexpr int shade_blocks = 6;
 // Records as they lie in memory: whole reads of 16 bytes.
 struct alignas(16) PathRecord {
     Vec3 origin;
-    float pdf;
+    float t_min;
     Vec3 direction;
-    float unused0;
+    float t_max;
     Vec3 throughput;
-    float unused1;
+    float pdf;
     Vec3 diffuse_share;
-    float unused2;
+    float smallest_pdf;
+    Vec3 normal;
+    std::uint32_t bounces;          // and above bit 16 transparent_bounces
+    std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
+    std::uint32_t transmission_bounces;
+    std::uint32_t kind_and_flags;  // bit 30: delta, bit 31: ends
+    std::uint32_t unused;
+
+    PathRecord() = default;
+    SVGF_HD explicit PathRecord(const Path& path)
+        : origin(path.ray.origin), t_min(path.ray.t_min), direction(path.ray.direction), t_max(path.ray.t_max),
+          throughput(path.throughput), pdf(path.pdf), diffuse_share(path.diffuse_share),
+          smallest_pdf(path.smallest_pdf), normal(path.normal),
+          bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
+          diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
+          transmission_bounces(std::uint32_t(path.transmission_bounces)),
+          kind_and_flags(path.ray.kind | (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)), unused(0) {}
+
+    SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
+    SVGF_HD Path path() const {
+        Path path;
+        path.ray = ray();
+        path.throughput = throughput;
+        path.diffuse_share = diffuse_share;
+        path.normal = normal;
+        path.pdf = pdf;
+        path.smallest_pdf = smallest_pdf;
+        path.bounces = int(bounces & 0xffffu);
+        path.transparent_bounces = int(bounces >> 16);
+        path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
+        path.glossy_bounces = int(diffuse_bounces >> 16);
+        path.transmission_bounces = int(transmission_bounces);
+        path.delta = (kind_and_flags >> 30 & 1u) != 0;
+        path.ends = kind_and_flags >> 31 != 0;
+        return path;
+    }
 };
 struct alignas(16) ShadowRecord {
     Vec3 origin;
-    float distance;
+    float t_max;
     Vec3 direction;
-    float unused0;
+    std::int32_t bounces;
     Vec3 light;
-    float unused1;
+    std::int32_t surfaces;
     Vec3 diffuse_share;
-    float unused2;
+    float unused;
+
+    SVGF_HD ShadowRay shadow() const {
+        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, surfaces};
+    }
 };
 struct alignas(16) GatheredRecord {
     Vec3 emission;
-    float unused0;
+    float alpha;
     Vec3 first;
-    float unused1;
+    float unused0;
     Vec3 second;
-    float unused2;
+    float unused1;
+
+    GatheredRecord() = default;
+    SVGF_HD explicit GatheredRecord(const Gathered& light)
+        : emission(light.emission), alpha(light.alpha), first(light.first), unused0(0), second(light.second),
+          unused1(0) {}
+
+    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha}; }
 };
 
 // Pixels that a launch works on, in any order.
@@ -76,10 +122,43 @@ struct ExtendStage {
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const PathRecord& path = memory.paths[pixel];
-        memory.hits[pixel] = find_closest_hit(scene, {path.origin, path.direction});
+        memory.hits[pixel] = find_closest_hit(scene, memory.paths[pixel].ray());
     }
 };
+
+// Primary rays where the gbuffer did not trace them.
+template <Effects kernel>
+struct FirstExtendStage {
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
+
+    SceneView scene;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    Hit* out_hit;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const Sampler sampler(x, y, camera.width, seed, sample);
+        out_hit[y * camera.width + x] = find_closest_hit(
+            scene, primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler));
+    }
+};
+
+// Shades a vertex and puts its path and its shadow ray into the queues.
+template <Effects kernel>
+SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler, int vertex,
+                   int pixel, const Hit& hit, Path& path, Gathered& light, const PixelQueue& out_paths,
+                   const PixelQueue& out_shadows) {
+    ShadowRay shadow;
+    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
+    store(memory.gathered + pixel, GatheredRecord(light));
+    if (goes_on) store(memory.paths + pixel, PathRecord(path));
+    if (shadow.exists())
+        store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
+                                       shadow.light, shadow.surfaces, shadow.diffuse_share, 0});
+    out_paths.push_if(goes_on, pixel);
+    out_shadows.push_if(shadow.exists(), pixel);
+}
 
 template <Effects kernel>
 struct ShadeStage {
@@ -95,28 +174,10 @@ struct ShadeStage {
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const PathRecord record = load(memory.paths + pixel);
         const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
-        Path path{{record.origin, record.direction}, record.throughput, record.diffuse_share, record.pdf};
-        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, load(memory.gathered + pixel),
-              out_paths, out_shadows);
-    }
-
-    SVGF_HD static void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler,
-                              int vertex, int pixel, const Hit& hit, Path& path, const GatheredRecord& before,
-                              const PixelQueue& out_paths, const PixelQueue& out_shadows) {
-        Gathered light{before.emission, before.first, before.second};
-        ShadowRay shadow;
-        const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
-        store(memory.gathered + pixel, {light.emission, 0, light.first, 0, light.second, 0});
-        if (goes_on)
-            store(memory.paths + pixel, {path.ray.origin, path.pdf, path.ray.direction, 0, path.throughput, 0,
-                                         path.diffuse_share, 0});
-        if (shadow.exists())
-            store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, 0, shadow.light, 0,
-                                           shadow.diffuse_share, 0});
-        out_paths.push_if(goes_on, pixel);
-        out_shadows.push_if(shadow.exists(), pixel);
+        Path path = load(memory.paths + pixel).path();
+        Gathered light = load(memory.gathered + pixel).gathered();
+        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, light, out_paths, out_shadows);
     }
 };
 
@@ -136,24 +197,10 @@ struct FirstShadeStage {
     SVGF_HD void operator()(int x, int y) const {
         const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
-        Path path{primary_ray(camera, pixel_point(x, y, sampler, box_filter))};
-        ShadeStage<kernel>::shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, {}, out_paths, out_shadows);
-    }
-};
-
-// Primary rays where the gbuffer did not trace them.
-struct FirstExtendStage {
-    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
-
-    SceneView scene;
-    Camera camera;
-    std::uint32_t sample, seed;
-    Hit* out_hit;
-
-    SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
-        out_hit[y * camera.width + x] =
-            find_closest_hit(scene, primary_ray(camera, pixel_point(x, y, sampler, true)));
+        Path path;
+        path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        Gathered light;
+        shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, light, out_paths, out_shadows);
     }
 };
 
@@ -163,17 +210,17 @@ struct ShadowStage {
 
     PathVertices<kernel> vertices;
     PathMemory memory;
+    int width;
+    std::uint32_t sample, seed;
     int vertex;  // from which the rays start
     const std::int32_t* in_pixels;
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const ShadowRecord shadow = load(memory.shadows + pixel);
-        if (is_occluded(vertices.scene, {shadow.origin, shadow.direction, 0.0f, shadow.distance})) return;
-        const GatheredRecord before = load(memory.gathered + pixel);
-        Gathered light{before.emission, before.first, before.second};
-        vertices.add(light, shadow.light, shadow.diffuse_share, vertex + 1);
-        store(memory.gathered + pixel, {light.emission, 0, light.first, 0, light.second, 0});
+        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        Gathered light = load(memory.gathered + pixel).gathered();
+        vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
+        store(memory.gathered + pixel, GatheredRecord(light));
     }
 };
 
@@ -182,10 +229,7 @@ struct GatherStage {
     const GatheredRecord* in_gathered;
     RadianceImages out;
 
-    SVGF_HD void operator()(int pixel) const {
-        const GatheredRecord light = load(in_gathered + pixel);
-        out.add(pixel, {light.emission, light.first, light.second});
-    }
+    SVGF_HD void operator()(int pixel) const { out.add(pixel, load(in_gathered + pixel).gathered()); }
 };
 
 }  // namespace svgf

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,7 +19,9 @@ from ..errors import InputError
 from .options import DeviceOption, JsonOption, parse_size
 
 if TYPE_CHECKING:
+    from ..bench.ablation import Ablation
     from ..bench.accuracy import Accuracy
+    from ..bench.denoise import BufferSize, StageCost
     from ..bench.stages import StageTime
     from ..renderer import Renderer
     from ..scene import Scene
@@ -133,6 +135,140 @@ def accuracy(
         typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
     else:
         _print_accuracy(rows, title)
+
+
+@app.command()
+def export(
+    tries: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Each change is measured so often; the best counts.")
+    ] = 5,
+    as_json: JsonOption = False,
+) -> None:
+    """What it costs to bring a change in Blender to the renderer: milliseconds, and how much is exported."""
+    from .progress import silence
+    from .sources import load_export_timings
+
+    with silence(1):
+        rows = load_export_timings()(tries)
+    if as_json:
+        typer.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    else:
+        _print_export(rows)
+
+
+@app.command()
+def denoise(
+    sizes: Annotated[
+        list[str] | None,
+        typer.Option("--size", metavar="WxH", help="Pixels; may be given again. Default: 720p, 1080p and 2160p."),
+    ] = None,
+    device: DeviceOption = "auto",
+    methods: Annotated[
+        list[str] | None, typer.Option("--method", metavar="NAME", help="May be given again.", show_default=False)
+    ] = None,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure.")] = 64,
+    warm_up: Annotated[int, typer.Option(metavar="N", min=0, help="Frames before them.")] = 16,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw milliseconds beside the copy's as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The denoiser alone: milliseconds, bytes and bandwidth of every stage beside a plain copy's, and its memory."""
+    from ..bench.denoise import SIZES, BufferSize, StageCost, measure, plot
+    from ..devices import open_device
+    from ..io.files import replacing
+    from .progress import progress_bar
+
+    opened = open_device(device)
+    cases = [
+        (method, size, signals)
+        for method in methods or ["svgf"]
+        for size in ([parse_size(size) for size in sizes] if sizes else SIZES)
+        for signals in (1, 2)
+    ]
+    costs: list[StageCost] = []
+    buffers: list[BufferSize] = []
+    with progress_bar("Measuring", (warm_up + count) * len(cases)) as bar:
+        for method, image_size, signals in cases:
+            more_costs, more_buffers = measure(opened, method, image_size, signals, count, warm_up, step=bar.step)
+            costs += more_costs
+            buffers += more_buffers
+    title = f"{opened.description} ({opened.name}): median ms of {count} frames"
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(costs).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot(costs, title))
+    if as_json:
+        rows = {"stages": [asdict(row) for row in costs], "buffers": [asdict(row) for row in buffers]}
+        typer.echo(json.dumps({"title": title, **rows}, indent=1))
+    else:
+        _print_denoise(costs, buffers, title)
+
+
+@app.command()
+def ablation(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "480x270",
+    device: DeviceOption = "auto",
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", metavar="NAME", help="May be given again. Default: all.", show_default=False),
+    ] = None,
+    frames: Annotated[str, typer.Option("--frames", metavar="A-B", help="Consecutive frames to render.")] = "1-16",
+    first: Annotated[int, typer.Option(metavar="N", help="The first frame that is measured.")] = 5,
+    reference_spp: Annotated[int, typer.Option(metavar="N", min=1, help="Samples per pixel of the truth.")] = 1024,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw what each step gives as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
+    from ..bench.ablation import STEPS, Ablation, measure, plot, rows_of
+    from ..bench.accuracy import converge
+    from ..devices import open_device
+    from ..frame_range import parse_frames
+    from ..io.files import replacing
+    from ..settings import Settings, check_name
+    from .progress import progress_bar, render_frame
+    from .sources import open_scenes
+
+    paths = _paths(files)
+    image_size = parse_size(size)
+    chosen = methods or list(STEPS)
+    for method in chosen:
+        check_name("The method", method, tuple(STEPS))
+    settings = Settings(*image_size)
+    opened = open_device(device)
+    rows: list[Ablation] = []
+    for path in paths:
+        with open_scenes(path, parse_frames(frames), image_size) as source:
+            scenes = list(source)
+        measured = [scene for scene in scenes if scene.frame >= first]
+        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
+            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
+        with progress_bar(f"{path.stem}: steps", len(scenes) * len(rows_of(chosen))) as bar:
+            rows += measure(opened, settings, path.stem, scenes, references, chosen, render_frame, bar.step)
+    title = f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(rows).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot(rows, title))
+    if as_json:
+        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
+    else:
+        _print_ablation(rows, title)
 
 
 @app.command()
@@ -344,3 +480,75 @@ def _print_accuracy(rows: list[Accuracy], title: str) -> None:
     console = Console(highlight=False)
     console.print(title, markup=False, soft_wrap=True)
     console.print(table)
+
+
+def _print_export(rows: Sequence[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("change")
+    for heading in ("ms", "processor ms", *(field.name for field in fields(rows[0])[3:])):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        change, milliseconds, processor_milliseconds, *counts = asdict(row).values()
+        table.add_row(change, f"{milliseconds:.2f}", f"{processor_milliseconds:.2f}", *map(str, counts))
+    Console(highlight=False).print(table)
+
+
+@app.command()
+def _print_ablation(rows: list[Ablation], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("scene", "method", "without")
+    for heading in ("relMSE", "FLIP", "flicker", "ms"):
+        table.add_column(heading, justify="right")
+    last = rows[0]
+    for row in rows:
+        if (row.scene, row.method) != (last.scene, last.method):
+            table.add_section()
+            last = row
+        figures = (f"{value:.4f}" for value in (row.relmse, row.flip, row.flicker, row.milliseconds))
+        table.add_row(row.scene, row.method, row.off if row.off != "whole" else "-", *figures)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+
+
+def _print_denoise(costs: list[StageCost], buffers: list[BufferSize], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..bench.denoise import ALL
+
+    table = Table("method", "size", "signals")
+    table.add_column("stage", no_wrap=True)
+    for heading in ("ms", "B/pixel", "GB/s", "copy, ms"):
+        table.add_column(heading, justify="right")
+    for cost in costs:
+        table.add_row(
+            cost.method,
+            f"{cost.width}x{cost.height}",
+            str(cost.signals),
+            cost.stage,
+            f"{cost.milliseconds:.4f}",
+            f"{cost.bytes / (cost.width * cost.height):.0f}",
+            f"{cost.bandwidth:.0f}",
+            f"{cost.floor_milliseconds:.4f}",
+            end_section=cost.stage == ALL,
+        )
+    memory = Table("method", "signals", "buffer")
+    memory.add_column("B/pixel", justify="right")
+    cases = list(dict.fromkeys((row.method, row.signals) for row in buffers))
+    for method, signals in cases:
+        # The largest image, where what does not grow with it counts least.
+        rows = [row for row in buffers if (row.method, row.signals) == (method, signals)]
+        rows = [row for row in rows if (row.width, row.height) == (rows[-1].width, rows[-1].height)]
+        for row in rows:
+            memory.add_row(method, str(signals), row.buffer, f"{row.bytes_per_pixel:.2f}")
+        total = sum(row.bytes_per_pixel for row in rows)
+        memory.add_row(method, str(signals), "all", f"{total:.2f}", end_section=True)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+    console.print(memory)

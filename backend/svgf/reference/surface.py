@@ -10,6 +10,7 @@ import numpy as np
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
 from .bsdf import Bsdf, column, fresnel_dielectric, make_bsdf, make_layers
+from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .lights import Lights
 from .texture import Texture
@@ -64,13 +65,20 @@ class Shapes(Geometry):
         object_id,
         material_start,
         material_table,
+        visibility,
+        emitter,
     ) -> None:
         def transforms(rows) -> np.ndarray:
             return np.asarray(rows, dtype=np.float64).reshape(-1, 3, 4)
 
         super().__init__(
-            meshes, np.asarray(instance_mesh, dtype=np.int64), transforms(object_to_world), transforms(world_to_object)
+            meshes,
+            np.asarray(instance_mesh, dtype=np.int64),
+            transforms(object_to_world),
+            transforms(world_to_object),
+            np.asarray(visibility, dtype=np.int64),
         )
+        self.emitter = np.asarray(emitter, dtype=np.int64)
         self.previous_object_to_world = transforms(previous_object_to_world)
         self.object_id = np.asarray(object_id, dtype=np.int64)
         self.material_start = np.asarray(material_start, dtype=np.int64)
@@ -98,6 +106,7 @@ class SceneView:
     material_maps: np.ndarray
     textures: list[Texture]
     lights: Lights
+    world: World
 
 
 @dataclass
@@ -106,7 +115,8 @@ class Surface:
     world. smooth_normal: without the normal map. tangent: [n, 3], of anisotropy. magnitude: [n], of the terms that the
     position was summed from. material: [n], in the mesh's slot. rows: [n, 48], of the material itself, which may be a
     part of that one, with the values of its maps. weight: [n], of all that it does. straight: [n, 3], what a ray that
-    goes straight on is multiplied by where the hit lets it pass, else 0. emission: [n, 3], towards the viewer."""
+    goes straight on is multiplied by where the hit lets it pass, else 0. emission: [n, 3], towards the viewer.
+    light: [n], of the lights, -1 for none."""
 
     position: np.ndarray
     previous_position: np.ndarray
@@ -121,7 +131,7 @@ class Surface:
     weight: np.ndarray
     straight: np.ndarray
     emission: np.ndarray
-    light_emission: np.ndarray
+    light: np.ndarray
 
     def chosen(self, rows: np.ndarray) -> Surface:
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
@@ -188,7 +198,9 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
         weight=weight,
         straight=np.where((choice >= opacity)[:, None], tint * weight[:, None], 0.0),
         emission=np.where(whole[:, None], light_emission, emission),
-        light_emission=light_emission,
+        light=scene.lights.find(
+            shapes.emitter[instance], triangle - shapes.first_triangle[shapes.instance_mesh[instance]]
+        ),
     )
 
 

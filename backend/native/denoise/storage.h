@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: Apache-2.0
+// How the images between the stages are stored. A stage is written once, for a Storage:
+//
+//   FloatStorage    float32: what the papers' methods are held to the reference with.
+//   PackedStorage   about half of that: a texel of guides is one 16-byte load, one of colour 8 bytes. The errors
+//                   (core/packing.h) are far below the noise; tests state how far.
+//
+// Guides are what the stages know of the surfaces behind the pixels. Where there is no surface, depth is
+// background_depth, the object id 0 and the rest 0 or of no meaning.
+#pragma once
+
+#include "core/approximate.h"
+#include "core/load.h"
+#include "core/packing.h"
+#include "core/vec.h"
+
+namespace svgf {
+
+// A frame's geometry: one image or several, in one piece of memory.
+struct FrameSize {
+    int width = 0, height = 0;
+
+    SVGF_HD bool contains(int x, int y) const { return x >= 0 && x < width && y >= 0 && y < height; }
+    SVGF_HD int pixel(int x, int y) const { return y * width + x; }
+};
+
+struct FloatStorage {
+    static constexpr bool holds_any_bits = true;  // NaN, infinities and negative numbers too
+    static constexpr int guide_bytes = 32, length_bytes = 4, color_bytes = 16, moments_bytes = 8;
+
+    struct Guides : FrameSize {
+        Guides() = default;
+        Guides(void* memory, int width, int height)
+            : FrameSize{width, height}, normal_depth_(static_cast<Vec4*>(memory)),
+              gradient_(reinterpret_cast<Vec2*>(normal_depth_ + size_t(width) * height)),
+              object_id_(reinterpret_cast<int32_t*>(gradient_ + size_t(width) * height)),
+              length_(reinterpret_cast<float*>(object_id_ + size_t(width) * height)) {}
+
+        SVGF_HD explicit operator bool() const { return normal_depth_ != nullptr; }
+        SVGF_HD Vec4 normal_depth(int pixel) const { return normal_depth_[pixel]; }
+        SVGF_HD float depth(int pixel) const { return normal_depth_[pixel].w; }
+        SVGF_HD Vec2 gradient(int pixel) const { return gradient_[pixel]; }
+        SVGF_HD int32_t object_id(int pixel) const { return object_id_[pixel]; }
+        // Frames in the history.
+        SVGF_HD float length(int pixel) const { return length_[pixel]; }
+
+        SVGF_HD void store(int pixel, Vec4 normal_depth, Vec2 gradient, int32_t object_id) const {
+            normal_depth_[pixel] = normal_depth;
+            gradient_[pixel] = gradient;
+            object_id_[pixel] = object_id;
+        }
+        SVGF_HD void store_length(int pixel, float length) const { length_[pixel] = length; }
+
+        // What may be compared with object_id().
+        SVGF_HD static int32_t stored_id(int32_t object_id) { return object_id; }
+
+    private:
+        Vec4* normal_depth_ = nullptr;
+        Vec2* gradient_ = nullptr;
+        int32_t* object_id_ = nullptr;
+        float* length_ = nullptr;
+    };
+
+    // rgb, variance of luminance
+    struct Color {
+        Vec4* texels = nullptr;
+
+        Color() = default;
+        Color(void* memory) : texels(static_cast<Vec4*>(memory)) {}
+        SVGF_HD Vec4 operator[](int pixel) const { return texels[pixel]; }
+        SVGF_HD float variance(int pixel) const { return texels[pixel].w; }
+        SVGF_HD void store(int pixel, Vec4 color) const { texels[pixel] = color; }
+        SVGF_HD void store_variance(int pixel, float variance) const { texels[pixel].w = variance; }
+    };
+
+    // mean, variance of luminance over time
+    struct Moments {
+        Vec2* texels = nullptr;
+
+        Moments() = default;
+        Moments(void* memory) : texels(static_cast<Vec2*>(memory)) {}
+        SVGF_HD Vec2 operator[](int pixel) const { return texels[pixel]; }
+        SVGF_HD void store(int pixel, Vec2 moments) const { texels[pixel] = moments; }
+    };
+};
+
+struct PackedStorage {
+    struct alignas(16) Guide {
+        uint32_t normal;
+        float depth;
+        uint32_t gradient;   // 2 x 16 bits: sign, 7 of exponent, 8 of mantissa
+        uint16_t object_id;  // of 32 bits, hashed; 0 stays 0 and nothing else becomes it
+        uint16_t length;     // sixteenths of a frame; stays at 4095 when it gets there
+    };
+    static constexpr bool holds_any_bits = false;  // every pattern of bits is a number in range
+    static constexpr int guide_bytes = sizeof(Guide), length_bytes = guide_bytes;
+    static constexpr int color_bytes = sizeof(PackedColor), moments_bytes = 4;
+
+    struct Guides : FrameSize {
+        Guides() = default;
+        Guides(void* memory, int width, int height)
+            : FrameSize{width, height}, texels_(static_cast<Guide*>(memory)) {}
+
+        SVGF_HD explicit operator bool() const { return texels_ != nullptr; }
+        SVGF_HD Vec4 normal_depth(int pixel) const {
+            const Guide guide = load(texels_ + pixel);
+            const Vec3 n = decode_normal(guide.normal);
+            return {n.x, n.y, n.z, guide.depth};
+        }
+        SVGF_HD float depth(int pixel) const { return texels_[pixel].depth; }
+        SVGF_HD Vec2 gradient(int pixel) const {
+            const uint32_t packed = texels_[pixel].gradient;
+            return {decode_slope(packed & 0xffffu), decode_slope(packed >> 16)};
+        }
+        SVGF_HD int32_t object_id(int pixel) const { return texels_[pixel].object_id; }
+        SVGF_HD float length(int pixel) const { return float(texels_[pixel].length) * (1.0f / 16.0f); }
+
+        SVGF_HD void store(int pixel, Vec4 normal_depth, Vec2 gradient, int32_t object_id) const {
+            Guide guide;
+            guide.normal = encode_normal(normal_depth.xyz());
+            guide.depth = normal_depth.w;
+            guide.gradient = encode_slope(gradient.x) | encode_slope(gradient.y) << 16;
+            guide.object_id = uint16_t(stored_id(object_id));
+            guide.length = 0;
+            texels_[pixel] = guide;
+        }
+        SVGF_HD void store_length(int pixel, float length) const {
+            texels_[pixel].length = uint16_t(min(length * 16.0f + 0.5f, 65520.0f));
+        }
+
+        SVGF_HD static int32_t stored_id(int32_t object_id) {
+            if (object_id == 0) return 0;
+            const uint32_t hash = uint32_t(object_id) * 0x9e3779b1u >> 16;
+            return hash ? int32_t(hash) : 1;
+        }
+
+    private:
+        SVGF_HD static uint32_t encode_slope(float slope) {
+            return encode_positive<8>(std::fabs(slope)) | (slope < 0.0f ? 0x8000u : 0u);
+        }
+        SVGF_HD static float decode_slope(uint32_t code) {
+            const float slope = decode_positive<8>(code & 0x7fffu);
+            return code & 0x8000u ? -slope : slope;
+        }
+
+        Guide* texels_ = nullptr;
+    };
+
+    struct Color {
+        PackedColor* texels = nullptr;
+
+        Color() = default;
+        Color(void* memory) : texels(static_cast<PackedColor*>(memory)) {}
+        SVGF_HD Vec4 operator[](int pixel) const {
+            const PackedColor packed = texels[pixel];
+            const Vec3 c = decode_color(packed);
+            return {c.x, c.y, c.z, square(decode_deviation(packed))};
+        }
+        SVGF_HD float variance(int pixel) const { return square(decode_deviation(texels[pixel])); }
+        SVGF_HD void store(int pixel, Vec4 color) const {
+            texels[pixel] = encode_color(color.xyz(), fast_sqrt(color.w));
+        }
+        SVGF_HD void store_variance(int pixel, float variance) const {
+            PackedColor& texel = texels[pixel];
+            texel.high = (texel.high & ~(0x7fffu << 14)) | encode_positive<8>(fast_sqrt(variance)) << 14;
+        }
+    };
+
+    // Mean and standard deviation, 2 x 16 bits. Rounded at random, so that a long mean of skewed samples has no bias:
+    // rounding to nearest would lose the many small steps down and keep the few large ones up.
+    struct Moments {
+        uint32_t* texels = nullptr;
+
+        Moments() = default;
+        Moments(void* memory) : texels(static_cast<uint32_t*>(memory)) {}
+        SVGF_HD Vec2 operator[](int pixel) const {
+            const uint32_t packed = texels[pixel];
+            return {decode_positive<9>(packed & 0xffffu), square(decode_positive<9>(packed >> 16))};
+        }
+        SVGF_HD void store(int pixel, Vec2 moments) const {
+            const uint32_t hash = (bits_of(moments.x) ^ uint32_t(pixel) * 0x9e3779b1u) * 0x85ebca6bu;
+            texels[pixel] = encode_positive<9>(moments.x, float(hash >> 16) * (1.0f / 65536.0f)) |
+                            encode_positive<9>(fast_sqrt(moments.y), float(hash & 0xffffu) * (1.0f / 65536.0f)) << 16;
+        }
+    };
+};
+
+}  // namespace svgf

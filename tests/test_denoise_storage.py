@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fast filter and its packed images: what they keep of the float64 values, what they cost, the same bits twice."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from svgf.denoiser import Denoiser
+from svgf.reference.denoiser import Denoiser as ReferenceDenoiser
+from svgf.settings import DenoiseSettings
+
+from .test_denoise_stages import GUIDES, HEIGHT, WIDTH, as_reference_images, light, make_images, run
+
+# Of a channel, as a share of the largest one of its pixel (core/packing.h), with float32's own rounding.
+COLOR_ERROR = 2.0**-14
+DEVIATION_ERROR = 2.0**-8
+
+
+@pytest.fixture
+def device(device):
+    if device.name == "reference":
+        pytest.skip("the reference keeps float64")
+    return device
+
+
+def assert_colors_agree(actual, expected, error=COLOR_ERROR):
+    largest = expected.max(axis=-1, keepdims=True)
+    assert (np.abs(actual - expected) <= error * largest + 1e-18).all()
+
+
+# --- What is kept ----------------------------------------------------------------------------------------------------
+
+
+def test_demodulated_images_keep_their_values(device):
+    rng = np.random.default_rng(1)
+    images = make_images(rng)
+    # Over 30 decades, channels far apart, and the extremes.
+    images["diffuse"] *= 10.0 ** rng.uniform(-15.0, 15.0, (HEIGHT, WIDTH, 1)).astype(np.float32)
+    images["specular"] *= 10.0 ** rng.uniform(-3.0, 0.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    images["diffuse"][3, 4], images["diffuse"][3, 5] = 1e15, 0.0
+    images["depth"][5, 6], images["depth"][5, 7] = 1e-3, 1e7
+    images["depth_gradient"][6, 7] = [1e10, -1e-10]
+    images["normal"][7, :] = rng.normal(size=(WIDTH, 3))
+    images["normal"][7, :6] = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    inputs = {name: images[name] for name in (*GUIDES, "diffuse", "diffuse_albedo", "specular", "specular_albedo")}
+    oracle = ReferenceDenoiser(None, WIDTH, HEIGHT, "svgf", {})
+    expected = oracle.stage("demodulate", as_reference_images(inputs))
+    actual, repaired = run(device, "svgf+", "demodulate", inputs)
+    assert repaired == oracle.repaired()
+    surface = expected["object_id"] != 0
+    for signal in ("illumination0", "illumination1"):
+        assert_colors_agree(actual[signal], expected[signal])
+    np.testing.assert_allclose(actual["depth"], expected["depth"], rtol=1e-7)
+    np.testing.assert_allclose(actual["depth_gradient"][surface], expected["depth_gradient"][surface], rtol=2.0**-9)
+    chord = np.linalg.norm(actual["normal"] - expected["normal"], axis=-1)
+    assert chord[surface].max() < 1e-4
+    np.testing.assert_allclose(np.linalg.norm(actual["normal"][surface], axis=-1), 1.0, atol=1e-6)
+    np.testing.assert_array_equal(actual["object_id"] != 0, surface)
+
+
+def test_objects_stay_apart(device):
+    """Ids are kept in 16 bits: 0 stays 0, and small numbers do not collide."""
+    images = make_images(np.random.default_rng(2), 1)
+    images["object_id"] = np.arange(HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+    images["depth"][:] = 5.0
+    images["normal"][:] = [0.0, 0.0, 1.0]
+    inputs = {name: images[name] for name in (*GUIDES, "diffuse", "diffuse_albedo")}
+    actual, _ = run(device, "svgf+", "demodulate", inputs)
+    assert actual["object_id"][0, 0] == 0
+    assert len(np.unique(actual["object_id"])) == HEIGHT * WIDTH
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+def test_temporal_agrees_within_the_packing(device, signals):
+    images = make_images(np.random.default_rng(3), signals)
+    for name in GUIDES:
+        images[f"prev_{name}"] = images[name]
+    images["motion"][:] = 0.0
+    oracle = ReferenceDenoiser(None, WIDTH, HEIGHT, "svgf", {})
+    expected = oracle.stage("temporal", as_reference_images(images))
+    actual, _ = run(device, "svgf+", "temporal", images)
+    np.testing.assert_array_equal(actual["history_length"], expected["history_length"])
+    for s in range(signals):
+        # History and new colour are rounded, and so is their mean; small channels by what the largest has.
+        largest = np.maximum(images[f"hist_color{s}"], images[f"illumination{s}"]).max(axis=-1, keepdims=True)
+        assert (np.abs(actual[f"color{s}"] - expected[f"color{s}"]) <= 2.0 * COLOR_ERROR * largest).all()
+        # Both are rounded twice, at random, which is up to a whole step of 2^-9.
+        mean, variance = np.moveaxis(actual[f"moments{s}"], -1, 0)
+        expected_mean, expected_variance = np.moveaxis(expected[f"moments{s}"], -1, 0)
+        np.testing.assert_allclose(mean, expected_mean, rtol=2.0 * 2.0**-9)
+        scale = expected_variance + expected_mean**2 * 2.0**-8
+        assert (np.abs(variance - expected_variance) <= 6.0 * 2.0**-9 * scale + 1e-6).all()
+
+
+def test_a_long_mean_of_skewed_samples_has_no_bias(device):
+    """One sample in 20 is bright. With rounding to nearest, the many small steps down of a 16-bit mean would be lost
+    and the few large ones up kept: after 1500 frames it would be several times too large."""
+    rng = np.random.default_rng(4)
+    images = make_images(rng, 1)
+    for prefix in ("", "prev_"):
+        images[f"{prefix}object_id"][:], images[f"{prefix}depth"][:] = 1, 5.0
+        images[f"{prefix}depth_gradient"][:], images[f"{prefix}normal"][:] = 0.0, [0.0, 0.0, 1.0]
+    images["motion"][:] = 0.0
+    native = device.denoiser(WIDTH, HEIGHT, "svgf+", {"alpha": 0.0, "alpha_moments": 0.0, "levels": 0})
+    frame = {name: images[name] for name in ("normal", "depth_gradient", "motion")}
+    frame["depth"] = images["depth"]
+    frame["object_id"] = images["object_id"].astype(np.int32)
+    total = np.zeros((HEIGHT, WIDTH))
+    frames = 1500
+    for index in range(frames):
+        bright = rng.random((HEIGHT, WIDTH)) < 0.05
+        frame["color"] = np.repeat(np.where(bright, 20.0, 0.01).astype(np.float32)[..., None], 3, axis=-1)
+        total += frame["color"][..., 0]
+        result = native.denoise({n: device.upload(np.ascontiguousarray(i)) for n, i in frame.items()}, reset=index == 0)
+    color = device.to_numpy(result["color"])[..., 0].astype(float)
+    # Up to 2^-15 is rounded off in frame k, which weighs k / N in the end: 2.3 % if all went one way.
+    np.testing.assert_allclose(color, total / frames, rtol=0.5 * frames * 2.0**-15)
+    assert color.mean() == pytest.approx(total.mean() / frames, rel=2e-3)
+    # The variance of a sample; that of these samples strays from it by 0.5 %.
+    variance = device.to_numpy(result["variance"]).astype(float)
+    assert variance.mean() == pytest.approx(0.05 * 0.95 * 19.99**2, rel=0.02)
+
+
+# --- The filter ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
+def test_fast_atrous_is_its_formula(device, level):
+    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, variance prefiltered at the first level."""
+    images = make_images(np.random.default_rng(5), 1)
+    settings = DenoiseSettings()
+    color, variance = images["color0"].astype(float), images["variance0"].astype(float)
+    surface = images["object_id"] != 0
+    kernel = {-1: 0.25, 0: 0.5, 1: 0.25}
+    expected_color, expected_variance = color.copy(), np.zeros_like(variance)
+    for y, x in zip(*np.nonzero(surface), strict=True):
+        blurred = norm = 0.0
+        for j in (-1, 0, 1) if level == 0 else (0,):
+            for i in (-1, 0, 1) if level == 0 else (0,):
+                if 0 <= y + j < HEIGHT and 0 <= x + i < WIDTH and surface[y + j, x + i]:
+                    blurred += kernel[i] * kernel[j] * variance[y + j, x + i]
+                    norm += kernel[i] * kernel[j]
+        deviation = math.sqrt(blurred / norm)
+        c_sum, v_sum, w_sum = np.zeros(3), 0.0, 0.0
+        for j in (-1, 0, 1):
+            for i in (-1, 0, 1):
+                v, u = y + j * 2**level, x + i * 2**level
+                if not (0 <= v < HEIGHT and 0 <= u < WIDTH and surface[v, u]):
+                    continue
+                z_p, z_q = float(images["depth"][y, x]), float(images["depth"][v, u])
+                explained = abs(float(images["depth_gradient"][y, x] @ np.float32([u - x, v - y])))
+                cosine = float(images["normal"][y, x].astype(float) @ images["normal"][v, u].astype(float))
+                difference = abs(light(color[y, x]) - light(color[v, u]))
+                exponent = -abs(z_p - z_q) / (settings.sigma_depth * explained + 1e-3 * z_p)
+                exponent += settings.sigma_normal * (cosine - 1.0) if (i, j) != (0, 0) else 0.0
+                exponent -= difference / (settings.sigma_luminance * deviation + 1e-10)
+                w = kernel[i] * kernel[j] * math.exp(exponent)
+                c_sum, v_sum, w_sum = c_sum + w * color[v, u], v_sum + w * w * variance[v, u], w_sum + w
+        expected_color[y, x], expected_variance[y, x] = c_sum / w_sum, v_sum / w_sum**2
+    actual, _ = run(device, "svgf+", "atrous", images, level)
+    # Weights feel the rounding of normals (1e-4 rad times sigma_n times the angle), gradients and deviations.
+    assert_colors_agree(actual["color0"], expected_color, error=0.02)
+    errors = np.abs(actual["color0"] - expected_color) / expected_color.max(axis=-1, keepdims=True)
+    assert errors.mean() < 1e-3
+    np.testing.assert_allclose(actual["variance0"], expected_variance, rtol=0.05, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1), (33, 17), (2, 65), (70, 40)])
+@pytest.mark.parametrize("levels", [0, 1, 2, 3, 4, 5, 8])
+def test_constant_radiance_is_a_fixed_point_at_any_size(device, size, levels):
+    """Also that no number of levels reads the colour image while it is written."""
+    width, height = size
+    frame = {
+        "color": np.full((height, width, 3), 1.5, np.float32),
+        "normal": np.broadcast_to(np.float32([0, 0, 1]), (height, width, 3)).copy(),
+        "depth": np.full((height, width), 5.0, np.float32),
+        "motion": np.zeros((height, width, 3), np.float32),
+    }
+    for method in ("svgf", "svgf+"):
+        native = device.denoiser(width, height, method, {"levels": levels})
+        for index in range(3):
+            result = native.denoise({n: device.upload(i) for n, i in frame.items()}, reset=False)
+            np.testing.assert_allclose(device.to_numpy(result["color"]), 1.5, rtol=1e-4)
+            np.testing.assert_array_equal(device.to_numpy(result["history_length"]), index + 1)
+
+
+# --- What it costs, and repeats --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "limits"), [("svgf+", (48, 100)), ("svgf", (112, 160))])
+def test_memory(device, method, limits):
+    width, height = 64, 32
+    native = device.denoiser(width, height, method, {})
+    rng = np.random.default_rng(6)
+    images = make_images(rng, 2, height, width)
+    names = (*GUIDES, "motion", "diffuse", "diffuse_albedo", "specular", "specular_albedo")
+    frame = {name: images[name] for name in names} | {"object_id": images["object_id"].astype(np.int32)}
+    one = {name: image for name, image in frame.items() if not name.startswith("specular")}
+    for inputs, limit in zip((one, frame), limits, strict=True):
+        native.denoise({n: device.upload(i) for n, i in inputs.items()}, reset=False)
+        buffers = dict(native.buffers())
+        counter = buffers.pop("repair counter")
+        assert counter == 4
+        assert sum(buffers.values()) <= limit * width * height
+
+
+@pytest.mark.parametrize("method", ["svgf", "svgf+"])
+def test_same_inputs_same_bits(device, method):
+    results = []
+    for _ in range(2):
+        rng = np.random.default_rng(7)
+        native = device.denoiser(WIDTH, HEIGHT, method, {})
+        for _ in range(4):
+            images = make_images(rng)
+            names = (*GUIDES, "motion", "diffuse", "diffuse_albedo", "specular", "specular_albedo", "emission")
+            frame = {name: images[name] for name in names} | {"object_id": images["object_id"].astype(np.int32)}
+            result = native.denoise({n: device.upload(i) for n, i in frame.items()}, reset=False)
+        results.append({name: device.to_numpy(image).tobytes() for name, image in result.items()})
+    assert results[0] == results[1]
+
+
+def test_buffers_are_told():
+    denoiser = Denoiser(64, 32, "cpu")
+    assert sum(denoiser.buffers.values()) >= 64 * 32 * 40
