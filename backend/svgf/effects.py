@@ -47,6 +47,9 @@ class Effects(IntFlag):
     MANY_LIGHTS = auto()
 
 
+MOTION_EFFECTS = Effects.CAMERA_MOTION | Effects.OBJECT_MOTION | Effects.DEFORMATION
+
+
 def find_effects(scene: Scene) -> Effects:
     """The effects of one frame. Materials and meshes that no instance uses do not count."""
     effects = _world_and_camera_effects(scene)
