@@ -262,7 +262,8 @@ private:
             ray.t_max = shadow_ray_end;
         }
         if constexpr (has_alpha) {
-            arriving *= shadow_transmittance(sampler, vertex, ray, limits.transparent_bounces - path.transparent_bounces);
+            const int surfaces = limits.transparent_bounces - path.transparent_bounces;
+            arriving *= shadow_transmittance(sampler, vertex, ray, surfaces);
             if (!(max_component(arriving) > 0.0f)) return;
         } else if (is_occluded(scene, ray)) {
             return;
