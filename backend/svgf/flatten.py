@@ -448,8 +448,8 @@ def _light_emission(
 def _with_emission_maps(
     materials: tuple[Material, ...], emission: np.ndarray
 ) -> tuple[np.ndarray, tuple[TextureMap | None, ...]]:
-    """Radiance [M, 3] that a map multiplies where there is one, and the maps. Of materials of which nothing else but the
-    map varies with the place."""
+    """Radiance [M, 3] that a map multiplies where there is one, and the maps. Of materials of which nothing else but
+    the map varies with the place."""
     emission, maps = emission.copy(), []
     for row, material in zip(emission, materials):
         texture_map = material.maps.get("emission")
