@@ -80,8 +80,7 @@ private:
     SVGF_HD void trace(const Sampler& sampler, int pixel, Ray ray, Gathered& light) const {
         Path path;
         for (int vertex = 0;; ++vertex) {
-            Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(scene, ray);
-            if (vertex == 0) scale_to_unit(ray, hit);
+            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(scene, ray);
             if (scene.lights.sized_lamps_seen_by & path.kind) add_lamps(path, ray, hit, light);
             if (!hit.found()) return add_world(path, ray, light);
             Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
@@ -118,15 +117,6 @@ private:
             path.normal = bsdf.normal;
             ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, path.kind};
         }
-    }
-
-    // Primary rays have planar depth 1; from here on distances are in metres.
-    SVGF_HD static void scale_to_unit(Ray& ray, Hit& hit) {
-        const float scale = length(ray.direction);
-        ray.direction = ray.direction / scale;
-        ray.t_min *= scale;
-        ray.t_max *= scale;
-        hit.t *= scale;
     }
 
     // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
