@@ -149,7 +149,7 @@ def test_what_is_not_simulated_is_named():
     render.use_motion_blur = render.use_border = True
     warnings = "\n".join(export().warnings)
     assert 'Camera "Camera": panoramic cameras are not supported yet; a perspective one is used instead.' in warnings
-    for feature in ("motion blur", "the render region"):
+    for feature in ("motion blur",):
         assert f'Scene "Scene": {feature} is not supported yet' in warnings
 
 
