@@ -10,14 +10,15 @@ from svgf.reference.bsdf import Bsdf, make_bsdf
 from svgf.scene import Material
 
 
-def make(material: Material, view: np.ndarray, normal=(0, 0, 1), geometric_normal=(0, 0, 1)) -> Bsdf:
-    """One row per row of view."""
+def make(material: Material, view: np.ndarray, normal=(0, 0, 1), geometric_normal=(0, 0, 1), **changes) -> Bsdf:
+    """One row per row of view. changes: see make_bsdf; the tangent is X unless said."""
+    changes.setdefault("tangent", np.tile([1.0, 0.0, 0.0], (len(view), 1)))
     count = len(view)
     rows = np.repeat(material_rows((material,)), count, axis=0)
     normal, geometric_normal = (
         np.tile(np.asarray(n, dtype=np.float64), (count, 1)) for n in (normal, geometric_normal)
     )
-    return make_bsdf(view, normal, geometric_normal, rows, rows[:, 0:3])
+    return make_bsdf(view, normal, geometric_normal, rows, **changes)
 
 
 def repeat(bsdf: Bsdf, count: int) -> Bsdf:

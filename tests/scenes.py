@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from svgf.scene import Camera, Instances, Light, LightKind, Material, Mesh, Scene, Texture, World
+from svgf.scene import Camera, Instances, Light, LightKind, Material, Mesh, Scene, Texture, TextureMap, World
 
 WHITE = Material("white", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
 RED = Material("red", base_color=(0.7, 0.1, 0.1), specular_ior_level=0.0)
@@ -207,7 +207,7 @@ def checker_texture(size: int = 8) -> Texture:
 
 def textured_scene() -> Scene:
     """A textured floor under a sun and a sky."""
-    paper = Material("paper", base_color_texture=0, specular_ior_level=0.0)
+    paper = Material("paper", maps={"base_color": TextureMap(0)}, specular_ior_level=0.0)
     return build(
         [(quad(4.0), transform(), [paper])],
         camera((0.5, -3.0, 2.5), (0, 0, 0)),

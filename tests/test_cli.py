@@ -431,6 +431,35 @@ def test_bench_denoise(tmp_path: Path) -> None:
     assert_refused(run("bench", "denoise", "--device", "reference", *size), "Use cuda or cpu")
 
 
+def test_bench_ablation(scene_file: Path, tmp_path: Path) -> None:
+    frames = ("--size", "16x9", "--device", "reference", "--frames", "1-4", "--first", 2, "--reference-spp", 4)
+    options = (*frames, "--method", "svgf", "--method", "none")
+    files = ("--csv", tmp_path / "a.csv", "--plot", tmp_path / "a.png")
+    rows = json.loads(assert_done(run("bench", "ablation", scene_file, *options, *files, "--json")))["rows"]
+    from svgf.bench.ablation import STEPS
+
+    assert [(row["method"], row["off"]) for row in rows] == [
+        ("svgf", "whole"), *(("svgf", off) for off in STEPS["svgf"]), ("none", "whole")
+    ]  # fmt: skip
+    assert all(row[name] >= 0.0 for row in rows for name in ("relmse", "flip", "flicker", "milliseconds"))
+    # What is off is off: without the filter only the temporal mean is left, which has more noise.
+    by_step = {row["off"]: row for row in rows if row["method"] == "svgf"}
+    assert by_step["a-trous"]["relmse"] != by_step["whole"]["relmse"]
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + len(rows)
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert_refused(run("bench", "ablation", scene_file, *options, "--method", "best"), "Choose one of none, eaw, svgf")
+
+
+def test_every_step_of_the_ablation_is_a_setting() -> None:
+    from svgf.bench.ablation import STEPS
+    from svgf.settings import METHODS, DenoiseSettings
+
+    assert set(STEPS) == set(METHODS)
+    for steps in STEPS.values():
+        for changes in steps.values():
+            assert DenoiseSettings(**changes) != DenoiseSettings()
+
+
 def test_bench_stages(scene_file: Path, tmp_path: Path) -> None:
     arguments = ("bench", "stages", scene_file, scene_file, *SMALL, "--count", 3, "--warm-up", 1)
     figures = json.loads(assert_done(run(*arguments, "--csv", tmp_path / "a.csv", "--json")))

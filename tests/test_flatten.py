@@ -2,13 +2,15 @@
 """Scene -> FlatScene, and the effects that are found on the way."""
 
 import dataclasses
+import pathlib
+import re
 
 import numpy as np
 import pytest
 
 from svgf.effects import Effects, find_effects
-from svgf.flatten import TRIANGLE, flatten
-from svgf.scene import Light, LightKind, Material, World
+from svgf.flatten import MATERIAL_COLUMNS, TRIANGLE, flatten, material_map_rows, material_rows
+from svgf.scene import MATERIAL_INPUTS, Light, LightKind, Material, MaterialKind, TextureMap, World
 
 from . import scenes
 
@@ -122,10 +124,78 @@ def test_ids_and_materials_go_through():
     flat = flatten(scene)
     np.testing.assert_array_equal(flat.object_id, scene.instances.object_id)
     np.testing.assert_array_equal(flat.material_table, scene.instances.material_table)
-    material = Material("all", (0.1, 0.2, 0.3), 4, 0.5, 0.6, 1.7, 0.8, 0.9, (0.11, 0.12, 0.13), (1.0, 2.0, 3.0))
-    row = flatten(scenes.build([(scenes.quad(), scenes.transform(), [material])], VIEW)).materials[0]
-    expected = [0.1, 0.2, 0.3, 4, 0.5, 0.6, 1.7, 0.8, 0.9, 0.11, 0.12, 0.13, 1, 2, 3, 0]
-    np.testing.assert_array_equal(row, expected)
+
+
+def test_material_rows_hold_every_input_where_the_columns_say():
+    """Every field gets a value of its own, so that none can stand in for another."""
+    values = {}
+    for number, field in enumerate(dataclasses.fields(Material)):
+        if isinstance(field.default, tuple):
+            values[field.name] = (number + 0.25, number + 0.5, number + 0.75)
+        elif isinstance(field.default, (int, float)) and not isinstance(field.default, MaterialKind):
+            values[field.name] = number
+    maps = {"roughness": TextureMap(3, channel=2, uv_layer=1, uv_transform=(1, 2, 3, 4, 5, 6)), "normal": TextureMap(5)}
+    material = Material("all", MaterialKind.PRINCIPLED, maps=maps, **values)
+    before = Material("before", maps={"base_color": TextureMap(0)})
+    rows, map_rows = material_rows((before, material)), material_map_rows((before, material))
+    for name, value in values.items():
+        if name != "subsurface_weight":
+            column = MATERIAL_COLUMNS[name]
+            np.testing.assert_array_equal(rows[1, column : column + np.size(value)], value, err_msg=name)
+    assert rows[1, MATERIAL_COLUMNS["map_start"]] == 1 and rows[1, MATERIAL_COLUMNS["map_count"]] == 2
+    assert rows[1, MATERIAL_COLUMNS["normal_uv_layer"]] == 0 and rows[0, MATERIAL_COLUMNS["normal_uv_layer"]] == -1
+    np.testing.assert_array_equal(
+        map_rows,
+        [
+            [MATERIAL_COLUMNS["base_color"], 0, -1, 0, 1, 0, 0, 0, 1, 0, 0, 0],
+            [MATERIAL_COLUMNS["roughness"], 3, 2, 1, 1, 2, 3, 4, 5, 6, 0, 0],
+            [MATERIAL_COLUMNS["normal"], 5, -1, 0, 1, 0, 0, 0, 1, 0, 0, 0],
+        ],
+    )
+
+
+def test_columns_are_those_of_the_native_source():
+    header = (pathlib.Path(__file__).parents[1] / "backend/native/scene/flat_scene.h").read_text()
+    inputs = re.search(r"enum class MaterialInput[^{]*{(.*?)}", header, re.DOTALL)[1]
+    native = {name: int(column) for name, column in re.findall(r"(\w+) = (\d+)", inputs)}
+    assert native == {name: MATERIAL_COLUMNS[name] for name in MATERIAL_INPUTS}
+    # The record, float by float.
+    record = re.search(r"struct alignas\(16\) Material {(.*?)};", header, re.DOTALL)[1]
+    column, columns = 0, {}
+    for kind, names in re.findall(r"^    ([\w:]+) ([\w, ]+);", record, re.MULTILINE):
+        for name in names.split(", "):
+            columns[name] = column
+            column += 3 if kind == "Vec3" else 1
+    assert column == 48 and columns.pop("unused") == 47 and columns == MATERIAL_COLUMNS
+
+
+@pytest.mark.parametrize(
+    "changes, expected",
+    [
+        ({}, (3, 2, 1)),
+        ({"alpha": 0.5}, (1.5, 1, 0.5)),
+        ({"kind": MaterialKind.DIFFUSE, "alpha": 0.5}, (3, 2, 1)),
+        ({"coat_weight": 0.1}, (0, 0, 0)),
+        ({"maps": {"emission": TextureMap(0)}}, (0, 0, 0)),
+        ({"maps": {"alpha": TextureMap(0)}}, (0, 0, 0)),
+        ({"kind": MaterialKind.GLASS}, (0, 0, 0)),
+        ({"kind": MaterialKind.MIX, "first": 1, "second": 2, "factor": 0.25}, (6, 0.5, 0.25)),
+        ({"kind": MaterialKind.MIX, "first": 1, "second": 2, "factor_fresnel_ior": 1.5}, (0, 0, 0)),
+        ({"kind": MaterialKind.MIX, "first": 3, "second": 3, "factor_fresnel_ior": 1.5}, (0, 0, 0)),
+        ({"kind": MaterialKind.ADD, "first": 1, "second": 2}, (8, 2, 1)),
+        ({"kind": MaterialKind.ADD, "first": 1, "second": 4}, (0, 0, 0)),
+    ],
+)
+def test_light_that_paths_aim_at(changes, expected):
+    """A radiance that is the same everywhere and in all directions, or none."""
+    parts = (
+        Material(emission=(8.0, 0.0, 0.0)),
+        Material(kind=MaterialKind.DIFFUSE, emission=(0.0, 2.0, 1.0)),
+        Material(),
+        Material(emission=(1.0, 1.0, 1.0), sheen_weight=1.0),
+    )
+    rows = material_rows((dataclasses.replace(GLOW, **changes), *parts))
+    np.testing.assert_array_equal(rows[0, MATERIAL_COLUMNS["light_emission"] :][:3], expected)
 
 
 def test_lamps_come_first_then_triangles_in_instance_order():
@@ -281,10 +351,45 @@ def test_materials_that_nothing_uses_have_no_effect():
     assert find_effects(dataclasses.replace(scene, materials=(*scene.materials, scenes.METAL))) == Effects.NONE
 
 
-def test_bits_are_those_of_the_native_source():
-    import pathlib
-    import re
+@pytest.mark.parametrize(
+    "material, expected",
+    [
+        (Material(alpha=0.5, specular_ior_level=0.0), Effects.ALPHA),
+        (Material(maps={"alpha": TextureMap(0)}, ior=1.0), Effects.ALPHA | Effects.TEXTURES),
+        (Material(maps={"ior": TextureMap(0)}, ior=1.0), Effects.SPECULAR | Effects.TEXTURES),
+        (Material(diffuse_roughness=0.1, ior=1.0), Effects.SPECULAR),
+        (Material(kind=MaterialKind.DIFFUSE, diffuse_roughness=0.1), Effects.SPECULAR),
+        (Material(coat_weight=0.1, ior=1.0), Effects.SPECULAR | Effects.COAT),
+        (Material(sheen_weight=0.1, ior=1.0), Effects.SPECULAR | Effects.SHEEN),
+        (Material(anisotropic=0.1), Effects.SPECULAR | Effects.ANISOTROPY),
+        (Material(anisotropic=0.1, ior=1.0), Effects.NONE),
+        (
+            Material(maps={"normal": TextureMap(0)}, ior=1.0),
+            Effects.NORMAL_MAPS | Effects.TEXTURES,
+        ),
+        (Material(maps={"normal": TextureMap(0)}, normal_strength=0.0, ior=1.0), Effects.TEXTURES),
+        (Material(kind=MaterialKind.DIFFUSE, coat_weight=1.0, alpha=0.5, transmission=1.0), Effects.NONE),
+        (Material(kind=MaterialKind.GLOSSY, anisotropic=-0.5), Effects.SPECULAR | Effects.ANISOTROPY),
+        (Material(kind=MaterialKind.GLASS), Effects.SPECULAR | Effects.TRANSMISSION),
+        (Material(kind=MaterialKind.REFRACTION), Effects.SPECULAR | Effects.TRANSMISSION),
+        (Material(kind=MaterialKind.TRANSLUCENT), Effects.TRANSMISSION),
+        (Material(kind=MaterialKind.TRANSPARENT), Effects.ALPHA),
+    ],
+)
+def test_effects_of_materials(material, expected):
+    assert find_effects(scenes.closed_box(material)) == expected
 
+
+def test_effects_of_mixes_are_those_of_their_parts():
+    mix = Material("mix", kind=MaterialKind.MIX, first=1, second=2)
+    add = Material("add", kind=MaterialKind.ADD, first=3, second=4)
+    parts = (mix, Material(kind=MaterialKind.GLASS), add, Material(kind=MaterialKind.TRANSPARENT), scenes.WHITE)
+    scene = dataclasses.replace(scenes.closed_box(mix), materials=(*parts, Material(coat_weight=1.0)))
+    expected = Effects.MATERIAL_MIXES | Effects.SPECULAR | Effects.TRANSMISSION | Effects.ALPHA
+    assert find_effects(scene) == expected
+
+
+def test_bits_are_those_of_the_native_source():
     header = pathlib.Path(__file__).parents[1] / "backend/native/core/effects.h"
     native = dict(re.findall(r"(\w+) = 1u << (\d+)", header.read_text()))
     assert {effect.name.lower(): int(effect).bit_length() - 1 for effect in Effects} == {

@@ -5,8 +5,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import interpolate
 
-from svgf.scene import Extension, Interpolation, LightKind, Material, Texture, World
+from svgf.scene import Extension, Interpolation, LightKind, Material, Texture, TextureMap, World
 
 from . import scenes
 from .tracing import HEIGHT, WIDTH, hit_points, pixels, project, rays, trace
@@ -210,7 +211,7 @@ def test_albedos(device):
 
 
 def read_texture(texture: Texture, u: float, v: float) -> np.ndarray:
-    """One lookup, one texel after the other."""
+    """RGBA of one lookup, one texel after the other."""
     height, width = texture.pixels.shape[:2]
 
     def wrap(i: int, size: int) -> int | None:
@@ -226,44 +227,63 @@ def read_texture(texture: Texture, u: float, v: float) -> np.ndarray:
     def texel(i: int, j: int) -> np.ndarray:
         i, j = wrap(i, width), wrap(j, height)
         if i is None or j is None:
-            return np.zeros(3)
+            return np.zeros(4)
         scale = 255 if texture.pixels.dtype == np.uint8 else 1
-        return texture.pixels[j, i, :3].astype(float) / scale
+        return texture.pixels[j, i].astype(float) / scale
 
     x, y = u * width, v * height
     if texture.interpolation == Interpolation.CLOSEST:
-        color = texel(int(np.floor(x)), int(np.floor(y)))
+        value = texel(int(np.floor(x)), int(np.floor(y)))
     else:
+        # Texels are the coefficients of a B-spline of degree 1 or 3.
+        spline = SPLINES[texture.interpolation]
         i, j = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
-        a, b = x - 0.5 - i, y - 0.5 - j
-        color = (texel(i, j) * (1 - a) + texel(i + 1, j) * a) * (1 - b) + (
-            texel(i, j + 1) * (1 - a) + texel(i + 1, j + 1) * a
-        ) * b
+        across = [spline(x - 0.5 - column) for column in range(i - 1, i + 3)]
+        value = sum(
+            spline(y - 0.5 - row) * weight * texel(column, row)
+            for row in range(j - 1, j + 3)
+            for column, weight in zip(range(i - 1, i + 3), across)
+        )
+    color = value[:3] / (value[3] if texture.associated_alpha and value[3] > 0 else 1)
     if texture.srgb:
         color = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
-    return color
+    return np.append(np.minimum(color, 1), value[3])
+
+
+TENT = interpolate.BSpline.basis_element([-1, 0, 1], extrapolate=False)
+CUBIC = interpolate.BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
+SPLINES = {
+    Interpolation.LINEAR: lambda x: np.nan_to_num(TENT(x)),
+    Interpolation.CUBIC: lambda x: np.nan_to_num(CUBIC(x)),
+}
 
 
 @pytest.mark.parametrize("interpolation", Interpolation)
 @pytest.mark.parametrize("extension", Extension)
-@pytest.mark.parametrize("kind", ["srgb", "linear_bytes", "floats"])
+@pytest.mark.parametrize("kind", ["srgb", "linear_bytes", "floats", "associated_alpha", "one_texel", "two_texels"])
 def test_texture_lookups(device, interpolation, extension, kind):
-    """A quad whose UVs run from -1.3 to 2.4 over an image of 3 by 5 texels."""
+    """A quad whose UVs run from -1.3 to 2.4 over an image of 3 by 5 texels: the colour, and alpha as roughness."""
     rng = np.random.default_rng(6)
-    values = rng.random((5, 3, 4))
+    values = rng.random({"one_texel": (1, 1, 4), "two_texels": (2, 2, 4)}.get(kind, (5, 3, 4)))
+    if kind == "associated_alpha":
+        values[..., :3] *= values[..., 3:]
     pixels = values.astype(np.float32) if kind == "floats" else (values * 255).astype(np.uint8)
-    texture = Texture("noise", pixels, kind == "srgb", interpolation, extension)
+    texture = Texture("noise", pixels, kind == "srgb", interpolation, extension, kind == "associated_alpha")
     shape = scenes.quad(2.0)
-    shape = dataclasses.replace(shape, uvs=(shape.uvs * 3.7 - 1.3).astype(np.float32))
-    paper = Material("paper", base_color_texture=0, specular_ior_level=0.0)
+    # Layer 1 is turned over, half as large and moved; its map makes up for that.
+    layers = [shape.uvs * 3.7 - 1.3, shape.uvs[..., ::-1] / 2 + 0.1]
+    shape = dataclasses.replace(shape, uvs=np.stack(layers).astype(np.float32))
+    second = TextureMap(0, 3, 1, (0.0, 7.4, -0.74 - 1.3, 7.4, 0.0, -0.74 - 1.3))
+    paper = Material("paper", maps={"base_color": TextureMap(0), "roughness": second}, specular_ior_level=0.0)
     scene = scenes.build(
         [(shape, scenes.transform(), [paper])], scenes.camera((0, 1e-3, 4), (0, 0, 0)), textures=[texture]
     )
     images = trace(device, scene)
     seen = images["object_id"] == 1
     uv = (hit_points(scene, images)[seen][:, :2] + 1) / 2 * 3.7 - 1.3
-    expected = np.array([read_texture(texture, u, v) for u, v in uv])
-    wrong = np.abs(images["diffuse_albedo"][seen] - expected).max(axis=1) > 1e-4
+    expected = np.array([read_texture(texture, u, v) for u, v in uv[::5]])
+    found = np.column_stack([images["diffuse_albedo"][seen], images["roughness"][seen]])[::5]
+    wrong = np.abs(found - expected).max(axis=1) > 1e-4
     # A closest texel may change where rounding moves a lookup over its edge.
     assert wrong.mean() <= (0.01 if interpolation == Interpolation.CLOSEST else 0)
 

@@ -32,10 +32,12 @@ from svgf.scene import (
     Light,
     LightKind,
     Material,
+    MaterialKind,
     Mesh,
     RenderDefaults,
     Scene,
     Texture,
+    TextureMap,
     World,
 )
 from svgf.scene_validation import SceneValidator
@@ -61,7 +63,13 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
     return Scene(
         meshes=(
             mesh("Rock", 12, 20, uvs=random.random((20, 3, 2), np.float32)),
-            mesh("Fläche ✓", 5, 6, previous_positions=random.random((5, 3), np.float32)),
+            mesh(
+                "Fläche ✓",
+                5,
+                6,
+                uvs=random.random((2, 6, 3, 2), np.float32),
+                previous_positions=random.random((5, 3), np.float32),
+            ),
         ),
         instances=Instances(
             mesh=np.array([0, 1, 0], np.int32),
@@ -73,7 +81,14 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
         ),
         materials=(
             Material("Glass", transmission=1.0, roughness=0.0, ior=1.45),
-            Material("Painted", base_color_texture=0, emission=(0.1, 1 / 3, 3e6), specular_tint=(1.0, 0.5, 0.25)),
+            Material(
+                "Painted",
+                emission=(0.1, 1 / 3, 3e6),
+                specular_tint=(1.0, 0.5, 0.25),
+                maps={"base_color": TextureMap(0), "alpha": TextureMap(1, 3, 1, (2.0, 0.5, 0.1, -0.5, 3.0, 0.2))},
+            ),
+            Material("Both", kind=MaterialKind.MIX, first=0, second=1, factor_fresnel_ior=1.3),
+            Material("Leaf", MaterialKind.TRANSLUCENT, (0.1, 0.5, 0.2), multiscatter=False, tangent_uv_layer=1),
         ),
         camera=Camera(IDENTITY.copy(), (-0.5, 0.5, -0.3, 0.2), (0.1, 1e4)),
         previous_camera=Camera(IDENTITY + [0, 0, 0, 0.25], (-0.5, 0.5, -0.3, 0.2), (0.1, 1e4)),
@@ -81,7 +96,14 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
             Texture(
                 "bark.png", random.integers(0, 256, (3, 5, 4), np.uint8), True, Interpolation.CLOSEST, Extension.CLIP
             ),
-            Texture("sky.exr", random.random((2, 2, 4), np.float32), False, extension=Extension.MIRROR),
+            Texture(
+                "sky.exr",
+                random.random((2, 2, 4), np.float32),
+                False,
+                Interpolation.CUBIC,
+                Extension.MIRROR,
+                associated_alpha=True,
+            ),
         ),
         lights=(
             Light("Sun", LightKind.SUN, (3.0, 2.9, 2.8), IDENTITY.copy(), (0.01, 0.0)),
@@ -103,6 +125,10 @@ def assert_equal(a: object, b: object, path: str = "scene") -> None:
     elif is_dataclass(a):
         for field in fields(a):
             assert_equal(getattr(a, field.name), getattr(b, field.name), f"{path}.{field.name}")
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys(), path
+        for key in a:
+            assert_equal(a[key], b[key], f"{path}[{key}]")
     elif isinstance(a, tuple):
         assert len(a) == len(b), path
         for index, (left, right) in enumerate(zip(a, b, strict=True)):
@@ -252,7 +278,7 @@ def test_frames_that_make_no_animation(tmp_path: Path, scenes: list[Scene], mess
 
 def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
     material = Material(roughness=np.float32(0.5), emission=(np.float64(1), np.int32(2), 3))
-    svgf.save(tmp_path / "a.svgf", replace(make_scene(), frame=np.int64(4), materials=(material, material)))
+    svgf.save(tmp_path / "a.svgf", replace(make_scene(), frame=np.int64(4), materials=(material,) * 4))
     loaded = svgf.load(tmp_path / "a.svgf")
     assert loaded.frame == 4 and loaded.materials[1] == Material(emission=(1.0, 2.0, 3.0))
 
@@ -264,8 +290,8 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (
-            lambda m: m.update(version=2),
-            "format version 2; this svgf reads up to 1. Update it: pip install --upgrade svgf",
+            lambda m: m.update(version=3),
+            "format version 3; this svgf reads up to 2. Update it: pip install --upgrade svgf",
         ),
         (lambda m: m.update(version="1"), "version is '1'"),
         (lambda m: m.update(format="gltf"), "is not an svgf scene file"),
@@ -304,6 +330,26 @@ def test_hand_edited_manifest(saved: Path, change: Callable[[dict], object], mes
 def test_edited_value_is_found_under_its_name(saved: Path) -> None:
     edit(saved, lambda manifest: manifest["tables"]["materials"][0].update(roughness=0.125, name="Frosted"))
     assert svgf.load(saved).materials[0].name == "Frosted"
+
+
+def test_file_of_version_1(saved: Path) -> None:
+    """Fields that it did not have take their defaults; its texture becomes the map of the base colour."""
+    old = ("name", "base_color", "metallic", "roughness", "ior", "transmission", "specular_ior_level", "specular_tint")
+
+    def downgrade(manifest: dict) -> None:
+        manifest["version"] = 1
+        materials = manifest["tables"]["materials"]
+        for index, record in enumerate(materials):
+            kept = {name: record[name] for name in (*old, "emission")}
+            materials[index] = {**kept, "base_color_texture": 0 if record["name"] == "Painted" else -1}
+        for record in manifest["tables"]["textures"]:
+            del record["associated_alpha"]
+
+    expected = make_scene().materials
+    glass, painted, both, leaf = svgf.load(edit(saved, downgrade)).materials
+    assert glass == expected[0]
+    assert painted == replace(expected[1], maps={"base_color": TextureMap(0)})
+    assert both == Material("Both") and leaf == Material("Leaf", base_color=(0.1, 0.5, 0.2))
 
 
 def rewrite_array(path: Path, data: bytes) -> None:

@@ -14,7 +14,7 @@ import pytest
 import svgf
 from svgf import scene_file
 from svgf.errors import InputError
-from svgf.scene import Scene, World
+from svgf.scene import DEEPEST_MIX, Material, MaterialKind, Scene, TextureMap, World
 from svgf.scene_validation import SceneValidator
 
 from .test_scene_file import IDENTITY, make_scene
@@ -29,7 +29,9 @@ def change_instances(**values: object) -> Callable[[Scene], Scene]:
 
 
 def change_material(**values: object) -> Callable[[Scene], Scene]:
-    return lambda scene: replace(scene, materials=(scene.materials[0], replace(scene.materials[1], **values)))
+    return lambda scene: replace(
+        scene, materials=(scene.materials[0], replace(scene.materials[1], **values), *scene.materials[2:])
+    )
 
 
 def change_light(**values: object) -> Callable[[Scene], Scene]:
@@ -60,6 +62,8 @@ INVALID = [
         r"normals is float32 \[19, 3, 3\], not float32 \[20, 3, 3\]",
     ),
     (change_mesh(uvs=np.full((20, 3, 2), NAN, np.float32)), r"uvs holds 120 numbers that are not finite"),
+    (change_mesh(uvs=np.zeros((2, 19, 3, 2), np.float32)), r"uvs is float32 \[2, 19, 3, 2\], not float32 \[\*, 20, 3, 2\]"),
+    (change_mesh(uvs=np.zeros((0, 20, 3, 2), np.float32)), r"uvs has 0 layers, not 1 to 64"),
     (change_mesh(material_slots=np.full(20, -1, np.int32)), r"material_slots holds -1"),
     (change_mesh(previous_positions=np.zeros((11, 3), np.float32)), r"previous_positions is float32 \[11, 3\]"),
     (change_mesh(name=b"Rock"), r"meshes\[0\].name is b'Rock', not of type str"),
@@ -71,16 +75,40 @@ INVALID = [
     (change_instances(material_start=np.array([0, 2, 3], np.int32)), r"instances.material_start\[2\] is 3"),
     (change_instances(material_start=np.array([0, 2**31 - 1, 0], np.int32)), r"instances.material_start\[1\]"),
     (change_instances(material_start=np.array([-1, 0, 0], np.int32)), r"instances.material_start\[0\] is -1"),
-    (change_instances(material_table=np.array([0, 1, 2, 0], np.int32)), r"material_table holds 2, but there are 2 mat"),
+    (change_instances(material_table=np.array([0, 1, 4, 0], np.int32)), r"material_table holds 4, but there are 4 mat"),
     (
         change_material(base_color=(0.1, NAN, 0.1)),
         r'materials\[1\] "Painted".base_color\[1\] is nan, outside of \[0, 1\]',
     ),
     (change_material(base_color=(0.1, 0.1)), r"base_color has 2 numbers, not 3"),
-    (change_material(base_color_texture=2), r"base_color_texture is 2, outside of \[-1, 1\]"),
+    (change_material(kind=1), r"kind is 1, not one of PRINCIPLED, DIFFUSE"),
+    (change_material(maps={"base_color": TextureMap(2)}), r"maps\[base_color\].texture is 2, outside of \[0, 1\]"),
+    (change_material(maps={"alpha": TextureMap(0, channel=4)}), r"maps\[alpha\].channel is 4"),
+    (change_material(maps={"alpha": TextureMap(0, uv_layer=-1)}), r"maps\[alpha\].uv_layer is -1"),
+    (change_material(maps={"alpha": TextureMap(0, uv_transform=(1.0, 0.0))}), r"uv_transform has 2 numbers, not 6"),
+    (change_material(maps={"alpha": 0}), r"maps\[alpha\] is 0, not of type TextureMap"),
+    (change_material(maps={"colour": TextureMap(0)}), r"maps has 'colour', which is not an input that a texture can"),
+    (change_material(maps=()), r"maps is \(\), not of type dict"),
+    (change_material(coat_weight=2.0), r"coat_weight is 2.0, outside of \[0, 1\]"),
+    (change_material(anisotropic=-1.5), r"anisotropic is -1.5, outside of \[-1, 1\]"),
+    (change_material(kind=MaterialKind.MIX), r'"Painted".first is -1, outside of \[0, 3\]'),
+    (change_material(kind=MaterialKind.ADD, first=0, second=4), r'"Painted".second is 4, outside of \[0, 3\]'),
+    (change_material(kind=MaterialKind.ADD, first=0, second=1), r'materials\[1\] "Painted" mixes itself'),
+    (change_material(kind=MaterialKind.ADD, first=2, second=0), r'"(Painted|Both)" mixes itself'),
+    (
+        lambda scene: replace(
+            scene,
+            materials=(
+                *(Material(kind=MaterialKind.ADD, first=i + 1, second=i + 2) for i in range(DEEPEST_MIX + 1)),
+                *scene.materials,
+            ),
+        ),
+        rf"lies within more than {DEEPEST_MIX} mixes",
+    ),
+    (change_texture(associated_alpha=1), r"associated_alpha is 1, not of type bool"),
     (change_material(roughness=1.5), r"roughness is 1.5, outside of \[0, 1\]"),
     (change_material(roughness="0.5"), r"roughness is '0.5', not a number"),
-    (change_material(ior=0.5), r"ior is 0.5, outside of"),
+    (change_material(ior=-0.5), r"ior is -0.5, outside of"),
     (change_material(emission=(-1.0, 0.0, 0.0)), r"emission\[0\] is -1.0"),
     (change_material(emission=(INF, 0.0, 0.0)), r"emission\[0\] is inf"),
     (change_light(power=(NAN, 0.0, 0.0)), r'lights\[0\] "Sun".power\[0\] is nan'),

@@ -13,7 +13,7 @@ import pytest
 from svgf.devices import open_device
 from svgf.scene import Material
 
-from . import scenes
+from . import material_cases, scenes
 from .tracing import trace
 
 SCENES = scenes.device_scenes()
@@ -73,6 +73,21 @@ def test_same_paths_for_every_lobe(device, kind, roughness):
     material = Material(kind, base_color=(0.7, 0.6, 0.5), roughness=roughness, **lobes[kind])
     scene = SCENES["rectangle_lamp"]
     assert_same(device, dataclasses.replace(scene, materials=(scene.materials[0], material)))
+
+
+@pytest.mark.parametrize("is_smooth", [False, True], ids=["rough", "smooth"])
+@pytest.mark.parametrize("material", material_cases.SINGLE, ids=material_cases.names(material_cases.SINGLE))
+def test_same_paths_for_every_kind_of_material(device, material, is_smooth):
+    scene = material_cases.material_scene(material_cases.smooth(material) if is_smooth else material)
+    assert_same(device, scene)
+
+
+VARIED = material_cases.varied_scenes()
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_same_paths_for_maps_and_mixes(device, name):
+    assert_same(device, VARIED[name])
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (1e6, -1e6, 1e5)])

@@ -15,11 +15,13 @@ _NOTHING: frozenset[str] = frozenset()
 class Changes:
     """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
 
-    Matrices, materials, lamps and the world are few or read in bulk, so they are read with every export.
+    materials: full names of those whose nodes may differ; None: any.
+    Matrices, lamps and the world are few or read in bulk, so they are read with every export.
     """
 
     geometry: frozenset[str] = _NOTHING
     images: frozenset[str] = _NOTHING
+    materials: frozenset[str] | None = _NOTHING
 
 
 def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None:
@@ -28,14 +30,24 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
     that an object was selected as well as hidden.
     """
-    geometry, images, exports = set(), set(), False
+    geometry, images, materials, exports = set(), set(), set(), False
+    trees, owned = set(), set()
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
             continue
         exports = True
-        if isinstance(changed, bpy.types.Image):
+        if isinstance(changed, bpy.types.Material):
+            materials.add(changed.name_full)
+            owned.add(changed.original.node_tree)
+        elif isinstance(changed, bpy.types.NodeTree):
+            trees.add(changed.original)
+        elif isinstance(changed, bpy.types.Image):
             images.add(changed.name_full)
         elif isinstance(changed, bpy.types.Object) and update.is_updated_geometry:
             geometry.add(changed.name_full)
-    return Changes(frozenset(geometry), frozenset(images)) if exports else None
+    if not exports:
+        return None
+    # A tree comes without its material where a colour ramp was edited; a group may be used by any.
+    known = frozenset(materials) if trees <= owned else None
+    return Changes(frozenset(geometry), frozenset(images), known)

@@ -16,9 +16,10 @@ from .camera import export_camera, render_size
 from .changes import Changes
 from .findings import Findings
 from .instances import Key, collect, object_ids
-from .materials import MaterialTable
+from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
+from .uv_maps import find_uv_layers
 from .world import export_world
 
 _T = TypeVar("_T")
@@ -73,6 +74,7 @@ class Exporter:
         self.counters = ExportCounters()
         self._meshes = MeshCache()
         self._textures = TextureCache()
+        self._materials = MaterialCache()
         self._last: _Snapshot | None = None
         self._instances: Instances | None = None
 
@@ -125,6 +127,10 @@ class Exporter:
         last = self._last
         if changes is not None:
             self._textures.forget(changes.images)
+        if changes is None or changes.images or changes.materials is None:
+            self._materials.forget()
+        else:
+            self._materials.forget(changes.materials)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
@@ -138,6 +144,7 @@ class Exporter:
         scene, findings = depsgraph.scene_eval, Findings()
         size, camera = size or render_size(scene.render), camera or scene.camera
         exported = export_camera(camera, scene, size, findings)
+        self._materials.forget()
         return self._snapshot(depsgraph, size, camera.name_full, exported, findings)
 
     def _snapshot(
@@ -152,9 +159,11 @@ class Exporter:
     ) -> _Snapshot:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, findings)
-        materials = MaterialTable(self._textures, findings)
-        self._meshes.start_frame(changed)
+        layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
+        materials = MaterialTable(self._textures, self._materials, findings, layers)
+        self._meshes.start_frame(changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
+        materials.read(placements.uv_use())
         world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
         self._last = _Snapshot(
             frame=scene.frame_current,

@@ -19,6 +19,11 @@ class Findings:
         kind = datablock.id_type.replace("_", " ").capitalize()
         self._names.setdefault((kind, text), {})[datablock.name] = None
 
+    def extend(self, other: Findings) -> None:
+        """Adds all that another one has collected."""
+        for key, names in other._names.items():
+            self._names.setdefault(key, {}).update(names)
+
     def sentences(self) -> tuple[str, ...]:
         """Such as ``Material "Wall", "Floor": normal maps are not supported yet; ...``."""
         return tuple(f"{kind} {_enumerate(list(names))}: {text}" for (kind, text), names in self._names.items())

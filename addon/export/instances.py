@@ -15,6 +15,7 @@ from .findings import Findings, find_light_linking
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
+from .uv_maps import UvUse
 
 # Names a placement in every frame: the object, and for an instance also its parent and its number there.
 Key = tuple[str, str, bytes]
@@ -45,6 +46,10 @@ class Placements:
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
+
+    def uv_use(self) -> UvUse:
+        scales = np.cbrt(np.abs(np.linalg.det(self.matrices[:, :, :3])))
+        return UvUse(self.meshes, zip(self.mesh, self.material_start, strict=True), self.material_table, scales)
 
 
 def collect(

@@ -18,7 +18,7 @@ class _Source:
     """Blender's arrays of an evaluated mesh: V vertices, C corners, F faces.
 
     positions: float32 [V, 3]. corner_vertices: int32 [C]. face_starts: int32 [F], first corner.
-    normals: float32 [C, 3] or None where all faces are flat. uvs: float32 [C, 2] or None.
+    normals: float32 [C, 3] or None where all faces are flat. uvs: float32 [L, C, 2] or None.
     slots: int32 [F] or None where all are 0. flat: bool [F] or None where no face is flat.
     """
 
@@ -71,14 +71,19 @@ class MeshCache:
     def __init__(self) -> None:
         self.reads = 0
         self._changed: Set[str] | None = None
+        self._uv_maps: tuple[str, ...] = ("",)
         self._last: dict[tuple[str, int], _Entry] = {}
         self._by_shape: dict[tuple[int, int, int], list[_Entry]] = {}
         self._now: dict[tuple[str, int], _Entry] = {}
         self._counts: dict[str, int] = {}
 
-    def start_frame(self, changed: Set[str] | None = None) -> None:
-        """changed: full names of the objects whose geometry may differ from the last frame's; None: any."""
-        self._changed = changed
+    def start_frame(self, changed: Set[str] | None = None, uv_maps: tuple[str, ...] = ("",)) -> None:
+        """changed: full names of the objects whose geometry may differ from the last frame's; None: any.
+
+        uv_maps: names of the UV layers to read; "" is the active one.
+        """
+        self._changed = changed if uv_maps == self._uv_maps else None
+        self._uv_maps = uv_maps
         self._last, self._now, self._counts = self._now, {}, {}
         self._by_shape = {}
         for entry in self._last.values():
@@ -98,7 +103,7 @@ class MeshCache:
             self._now[key] = _at_rest(last)
             return self._now[key].mesh
         data = owner.to_mesh()
-        source = _read(data)
+        source = _read(data, self._uv_maps)
         self.reads += 1
         if last is None:
             last = next((entry for entry in self._by_shape.get(source.shape(), ()) if source.same(entry.source)), None)
@@ -141,7 +146,7 @@ def _build(
         triangles=triangles,
         normals=_normals(source, corners, faces),
         material_slots=np.zeros(len(faces), np.int32) if source.slots is None else source.slots[faces],
-        uvs=None if source.uvs is None else _finite(source.uvs[corners]),
+        uvs=_corner_uvs(source.uvs, corners),
         previous_positions=_previous_positions(source, last),
     )
 
@@ -153,7 +158,7 @@ def _previous_positions(source: _Source, last: _Entry | None) -> np.ndarray | No
     return last.mesh.positions if moved else None
 
 
-def _read(data: bpy.types.Mesh) -> _Source:
+def _read(data: bpy.types.Mesh, uv_maps: tuple[str, ...]) -> _Source:
     corner_count, face_count = len(data.loops), len(data.polygons)
     positions = np.empty((len(data.vertices), 3), np.float32)
     corner_vertices = np.empty(corner_count, np.int32)
@@ -173,19 +178,32 @@ def _read(data: bpy.types.Mesh) -> _Source:
         corner_vertices,
         face_starts,
         normals,
-        _read_uvs(data, corner_count),
+        _read_uvs(data, corner_count, uv_maps),
         _read_face_attribute(data, "material_index", np.int32),
         None if normals is None or data.has_custom_normals else _read_face_attribute(data, "sharp_face", bool),
     )
 
 
-def _read_uvs(data: bpy.types.Mesh, corner_count: int) -> np.ndarray | None:
-    layer = next((layer for layer in data.uv_layers if layer.active_render), None)
-    if layer is None or not corner_count:
+def _read_uvs(data: bpy.types.Mesh, corner_count: int, uv_maps: tuple[str, ...]) -> np.ndarray | None:
+    """A layer that the mesh does not have is 0; None where it has none of them."""
+    found = [
+        next((layer for layer in data.uv_layers if (layer.name == name if name else layer.active_render)), None)
+        for name in uv_maps
+    ]
+    if not any(found) or not corner_count:
         return None
-    uvs = np.empty((corner_count, 2), np.float32)
-    layer.uv.foreach_get("vector", uvs.ravel())
+    uvs = np.zeros((len(uv_maps), corner_count, 2), np.float32)
+    for index, layer in enumerate(found):
+        if layer is not None:
+            layer.uv.foreach_get("vector", uvs[index].ravel())
     return uvs
+
+
+def _corner_uvs(uvs: np.ndarray | None, corners: np.ndarray) -> np.ndarray | None:
+    """[T, 3, 2] of one layer, [L, T, 3, 2] of several."""
+    if uvs is None:
+        return None
+    return _finite(uvs[0, corners] if len(uvs) == 1 else uvs[:, corners])
 
 
 def _read_face_attribute(data: bpy.types.Mesh, name: str, dtype: type) -> np.ndarray | None:

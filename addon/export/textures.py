@@ -1,23 +1,58 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Images as textures."""
+"""Blender's images, as the evaluation of nodes reads them and as textures of a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
+from weakref import WeakKeyDictionary
 
 import bpy
 import numpy as np
 from svgf.scene import Extension, Interpolation, Texture
 
-from .findings import Findings
-from .nodes import describe, source
+from .evaluation.color import srgb_to_linear
+from .evaluation.images import Image
 
-_EXTENSIONS = {
-    "REPEAT": Extension.REPEAT,
-    "EXTEND": Extension.EXTEND,
-    "CLIP": Extension.CLIP,
-    "MIRROR": Extension.MIRROR,
+_INTERPOLATIONS = {
+    "Closest": Interpolation.CLOSEST,
+    "Linear": Interpolation.LINEAR,
+    "Cubic": Interpolation.CUBIC,
+    "Smart": Interpolation.CUBIC,
 }
+# As measured: Cycles no longer multiplies bytes of premultiplied images, which Blender has divided when it read them.
+_KEEPS_PREMULTIPLIED_BYTES = bpy.app.version >= (5, 2, 0)
+# Larger images are reduced: beyond it a texture would be gigabytes.
+LARGEST_SIDE = 16384
+
+_FROM_REC2020 = ((1.660491, -0.587641, -0.072850), (-0.124550, 1.132900, -0.008349), (-0.018151, -0.100579, 1.118730))
+_FROM_P3 = ((1.224940, -0.224940, 0.0), (-0.042057, 1.042057, 0.0), (-0.019638, -0.078636, 1.098274))
+_FROM_ACESCG = ((1.705051, -0.621792, -0.083259), (-0.130257, 1.140804, -0.010548), (-0.024004, -0.128969, 1.152972))
+_FROM_ACES = ((2.521686, -1.134131, -0.387555), (-0.276480, 1.372719, -0.096239), (-0.015378, -0.152975, 1.168353))
+_FROM_XYZ = ((3.240970, -1.537383, -0.498611), (-0.969244, 1.875968, 0.041555), (0.055630, -0.203977, 1.056972))
+
+
+def _linear(color: np.ndarray) -> np.ndarray:
+    return color
+
+
+def _rec1886(color: np.ndarray) -> np.ndarray:
+    return np.maximum(color, 0) ** np.float32(2.4)
+
+
+# How bytes become linear Rec.709, where that is not sRGB's way: a curve, then a matrix.
+_COLOR_SPACES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], tuple | None]] = {
+    "Rec.1886": (_rec1886, None),
+    "Rec.2020": (_rec1886, _FROM_REC2020),
+    "Display P3": (srgb_to_linear, _FROM_P3),
+    "Linear Rec.2020": (_linear, _FROM_REC2020),
+    "Linear DCI-P3 D65": (_linear, _FROM_P3),
+    "Linear CIE-XYZ D65": (_linear, _FROM_XYZ),
+    "ACEScg": (_linear, _FROM_ACESCG),
+    "ACES2065-1": (_linear, _FROM_ACES),
+}
+
+Find = Callable[[str], None]
+FindImage = Callable[[bpy.types.Image, str], None]
 
 
 def read_pixels(image: bpy.types.Image) -> np.ndarray | None:
@@ -41,18 +76,19 @@ def read_pixels(image: bpy.types.Image) -> np.ndarray | None:
 
 
 class TextureCache:
-    """Textures by image and how it is read. The same Texture object is returned as long as the image stays the same.
+    """Images by how they are read. The same object is returned as long as the image stays the same.
 
     Pixels are read once, until forgotten: a render job sees the images as they were at its start.
     """
 
     def __init__(self) -> None:
-        self._textures: dict[tuple, Texture | None] = {}
+        self._images: dict[tuple, Image | None] = {}
+        self._textures: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()
         self._means: dict[tuple, np.ndarray | None] = {}
 
     def forget(self, names: Set[str]) -> None:
         """Images by full name, which are read again."""
-        for cache in (self._textures, self._means):
+        for cache in (self._images, self._means):
             for key in [key for key in cache if key[0] in names]:
                 del cache[key]
 
@@ -63,34 +99,74 @@ class TextureCache:
             self._means[key] = _mean_radiance(image)
         return self._means[key]
 
-    def get(self, node: bpy.types.Node, material: bpy.types.Material, findings: Findings) -> Texture | None:
-        """The texture of an Image Texture node; None where its image is missing."""
-        image = node.image
-        if image is None:
+    def image(self, node: bpy.types.Node, find: Find, find_image: FindImage) -> Image | None:
+        """What an Image or Environment Texture node reads; None where its image is missing."""
+        source = node.image
+        if source is None:
             return None
-        _find_unsupported(node, material, findings)
+        _find_unsupported(node, find, find_image)
         # Cycles gives the colour times alpha, unless the node's Alpha is in use or alpha means something else.
-        has_alpha = image.alpha_mode in {"STRAIGHT", "PREMUL"} and not image.colorspace_settings.is_data
-        times_alpha = has_alpha and not node.outputs["Alpha"].is_linked
-        interpolation = Interpolation.CLOSEST if node.interpolation == "Closest" else Interpolation.LINEAR
-        key = (*_identity(image), has_alpha, times_alpha, interpolation, node.extension)
-        if key not in self._textures:
-            self._textures[key] = None
-            pixels = read_pixels(image)
-            if pixels is not None:
-                pixels = _with_alpha(pixels, has_alpha, times_alpha)
-                srgb = pixels.dtype == np.uint8 and not _is_data(image)
-                self._textures[key] = Texture(image.name, pixels, srgb, interpolation, _EXTENSIONS[node.extension])
-        if self._textures[key] is None:
-            findings.add(image, "the image cannot be read; magenta is used instead, as Blender does.")
-        elif not _is_data(image) and not image.is_float and image.colorspace_settings.name != "sRGB":
-            name = image.colorspace_settings.name
-            findings.add(image, f'colour space "{name}" is not supported yet; the image is read as sRGB.')
-        return self._textures[key]
+        has_alpha = source.alpha_mode in {"STRAIGHT", "PREMUL"} and not source.colorspace_settings.is_data
+        alpha = node.outputs.get("Alpha")
+        divides = has_alpha and alpha is not None and alpha.is_linked
+        extension = getattr(node, "extension", "REPEAT")
+        key = (*_identity(source), has_alpha, divides, node.interpolation, extension)
+        if key not in self._images:
+            self._images[key] = _read(source, has_alpha, divides, node.interpolation, extension)
+        image = self._images[key]
+        if image is None:
+            find_image(source, "the image cannot be read; magenta is used instead, as Blender does.")
+        else:
+            _find_limits(source, find_image)
+        return image
+
+    def texture(self, image: Image) -> Texture:
+        """The texture that holds an image."""
+        texture = self._textures.get(image)
+        if texture is None:
+            texture = Texture(
+                image.name,
+                image.pixels,
+                image.srgb,
+                _INTERPOLATIONS[image.interpolation],
+                Extension[image.extension],
+                image.associated_alpha,
+            )
+            self._textures[image] = texture
+        return texture
+
+
+def _read(
+    source: bpy.types.Image, has_alpha: bool, divides: bool, interpolation: str, extension: str
+) -> Image | None:
+    pixels = read_pixels(source)
+    if pixels is None:
+        return None
+    factor = _reduction(source)
+    if factor > 1:
+        pixels = _reduced(pixels, factor)
+    if pixels.dtype != np.uint8:
+        np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    elif has_alpha and not (source.alpha_mode == "PREMUL" and _KEEPS_PREMULTIPLIED_BYTES):
+        _multiply_alpha(pixels)
+    if source.alpha_mode == "NONE":
+        pixels[..., 3] = 255 if pixels.dtype == np.uint8 else 1
+    conversion = None if source.is_float else _COLOR_SPACES.get(source.colorspace_settings.name)
+    if conversion is not None:
+        pixels = _converted(pixels, *conversion)
+    srgb = pixels.dtype == np.uint8 and not _is_data(source)
+    return Image(source.name, pixels, srgb, interpolation, extension, divides)
 
 
 def _identity(image: bpy.types.Image) -> tuple:
-    return image.name_full, image.filepath, tuple(image.size), image.is_float, image.colorspace_settings.name
+    return (
+        image.name_full,
+        image.filepath,
+        tuple(image.size),
+        image.is_float,
+        image.colorspace_settings.name,
+        image.alpha_mode,
+    )
 
 
 def _mean_radiance(image: bpy.types.Image) -> np.ndarray | None:
@@ -102,54 +178,61 @@ def _mean_radiance(image: bpy.types.Image) -> np.ndarray | None:
     if color.dtype == np.uint8:
         color = color.astype(np.float32) / 255
         if not _is_data(image):
-            color = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+            color = srgb_to_linear(color)
     rows = np.nan_to_num(color, posinf=0, neginf=0).mean(axis=1, dtype=np.float64)
     return np.average(rows, axis=0, weights=weights)
 
 
-def _with_alpha(pixels: np.ndarray, has_alpha: bool, times_alpha: bool) -> np.ndarray:
-    """Colour times alpha, or without it. Blender keeps bytes straight and floats multiplied."""
-    if pixels.dtype == np.uint8:
-        alpha = pixels[..., 3:]
-        if times_alpha and alpha.min() < 255:
-            # In the image's encoding, as Cycles does it.
-            pixels[..., :3] = (pixels[..., :3] * alpha.astype(np.uint16) + 127) // 255
-        return pixels
-    np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    if has_alpha and not times_alpha:
-        alpha = pixels[..., 3:]
-        pixels[..., :3] /= np.where(alpha > 0, alpha, np.float32(1))
+def _multiply_alpha(pixels: np.ndarray) -> None:
+    """Bytes by their alpha, in the image's encoding as Cycles does it. Blender keeps bytes without it, floats with."""
+    alpha = pixels[..., 3:]
+    if alpha.min() < 255:
+        pixels[..., :3] = pixels[..., :3] * alpha.astype(np.uint16) // 255
+
+
+def _reduction(image: bpy.types.Image) -> int:
+    """By how much an image is too large."""
+    return -(-max(image.size) // LARGEST_SIDE)
+
+
+def _reduced(pixels: np.ndarray, factor: int) -> np.ndarray:
+    """Means of blocks, and single texels along a side that is shorter than a block."""
+    height, width = (max(side // factor, 1) for side in pixels.shape[:2])
+    tall, wide = min(factor, pixels.shape[0]), min(factor, pixels.shape[1])
+    blocks = pixels[: height * tall, : width * wide].reshape(height, tall, width, wide, 4)
+    means = blocks.mean(axis=(1, 3), dtype=np.float32)
+    return np.rint(means).astype(np.uint8) if pixels.dtype == np.uint8 else means
+
+
+def _converted(pixels: np.ndarray, curve: Callable[[np.ndarray], np.ndarray], matrix: tuple | None) -> np.ndarray:
+    pixels = pixels.astype(np.float32) / np.float32(255)
+    color = curve(pixels[..., :3])
+    pixels[..., :3] = color if matrix is None else color @ np.array(matrix, np.float32).T
     return pixels
 
 
 def _is_data(image: bpy.types.Image) -> bool:
-    """Whether the stored numbers are linear as they are."""
+    """Whether the stored numbers are linear Rec.709, or no colours at all."""
     settings = image.colorspace_settings
-    return settings.is_data or settings.name in {"Linear Rec.709", "Non-Color", "Raw"}
+    return settings.is_data or settings.name in {"Linear Rec.709", "Non-Color", "Raw", "Working Space"}
 
 
-def _find_unsupported(node: bpy.types.Node, material: bpy.types.Material, findings: Findings) -> None:
+def _find_limits(image: bpy.types.Image, find_image: FindImage) -> None:
+    name = image.colorspace_settings.name
+    if not image.is_float and not _is_data(image) and name != "sRGB" and name not in _COLOR_SPACES:
+        find_image(image, f'colour space "{name}" is not supported yet; the image is read as sRGB.')
+    if _reduction(image) > 1:
+        width, height = image.size
+        find_image(
+            image, f"{width} x {height} pixels are more than {LARGEST_SIDE} on a side; the image is reduced to fit."
+        )
+
+
+def _find_unsupported(node: bpy.types.Node, find: Find, find_image: FindImage) -> None:
     image = node.image
     if image.source in {"SEQUENCE", "MOVIE"}:
-        findings.add(image, "image sequences and movies are not supported yet; one picture is used for all frames.")
+        find_image(image, "image sequences and movies are not supported yet; one picture is used for all frames.")
     elif image.source == "TILED":
-        findings.add(image, "UDIM tiles are not supported yet; the first one is used everywhere.")
-    if node.projection != "FLAT":
-        findings.add(material, f"{node.projection.lower()} projection of images is not supported yet; UVs are used.")
-    if node.interpolation not in {"Linear", "Closest"}:
-        findings.add(material, f"{node.interpolation.lower()} image interpolation is not supported yet; it is linear.")
-    mapping = node.texture_mapping
-    if any(mapping.translation) or any(mapping.rotation) or any(scale != 1 for scale in mapping.scale):
-        findings.add(material, f"the texture mapping of {describe(node)} is not supported yet; it is left out.")
-    driver = source(node.inputs["Vector"])
-    if driver is None or (
-        driver.node.type == "TEX_COORD" and driver.identifier == "UV" and not driver.node.from_instancer
-    ):
-        return
-    if driver.node.type == "UVMAP":
-        if driver.node.uv_map:
-            findings.add(
-                material, f'UV map "{driver.node.uv_map}" by name is not supported yet; the active one is used.'
-            )
-        return
-    findings.add(material, f"{describe(driver.node)} for texture coordinates is not supported yet; UVs are used.")
+        find_image(image, "UDIM tiles are not supported yet; the first one is used everywhere.")
+    if node.type == "TEX_IMAGE" and node.projection != "FLAT":
+        find(f"{node.projection.lower()} projection of images is not supported yet; UVs are used.")

@@ -73,7 +73,7 @@ struct DeviceImage {
 };
 
 // The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
-// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted), which is made to wait for the image.
+// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted); it is made to wait for the image.
 nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
     auto& image = nb::cast<DeviceImage&>(self);
     if (stream.value_or(1) != -1)
@@ -216,15 +216,15 @@ std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, Host
 }
 
 std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
-                                      int interpolation, int extension) {
+                                      int interpolation, int extension, bool associated_alpha) {
     if (pixels.ndim() != 3 || pixels.shape(2) != 4) throw InputError("A texture's pixels must be [H, W, 4].");
     const int height = int(pixels.shape(0)), width = int(pixels.shape(1));
     if (pixels.dtype() == nb::dtype<uint8_t>())
         return std::make_shared<Texture>(device, std::span(static_cast<const uint8_t*>(pixels.data()), pixels.size()),
-                                         width, height, srgb, interpolation, extension);
+                                         width, height, srgb, interpolation, extension, associated_alpha);
     if (pixels.dtype() == nb::dtype<float>())
         return std::make_shared<Texture>(device, std::span(static_cast<const float*>(pixels.data()), pixels.size()),
-                                         width, height, interpolation, extension);
+                                         width, height, interpolation, extension, associated_alpha);
     throw InputError("A texture's pixels must be uint8 or float32.");
 }
 
@@ -451,15 +451,19 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Texture>(module, "Texture")
         .def(nb::new_(&make_texture), "device"_a, "pixels"_a, "srgb"_a, "interpolation"_a,
-             "extension"_a);
+             "extension"_a, "associated_alpha"_a);
 
     // Tracer and Denoiser keep the device alive: it is used when they run, and by their buffers until they are gone.
     nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
         .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
              "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a)
-        .def("set_materials", [](Tracer& tracer, HostArray<float> materials, std::vector<std::shared_ptr<Texture>> textures) {
-            tracer.set_materials(span_of(materials), std::move(textures));
-        }, "materials"_a, "textures"_a)
+        .def("set_materials", [](Tracer& tracer, HostArray<float> materials, HostArray<float> material_maps,
+                                 std::vector<std::shared_ptr<Texture>> textures) {
+            tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
+        }, "materials"_a, "material_maps"_a, "textures"_a)
+        .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
+            tracer.set_albedo_tables(span_of(tables));
+        }, "tables"_a)
         .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
              "triangle_light_scale"_a, "world_radiance"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,

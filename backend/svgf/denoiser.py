@@ -122,15 +122,15 @@ class Denoiser:
 
         Returns images of the same library, float32: "color" [H, W, 3]; "variance" [H, W] of luminance that the filter
         left (svgf; else 0); "history_length" [H, W] in frames, 0 on the background; and for arrays on the host
-        "repaired", as the property of this name, which costs the wait that arrays on the GPU are spared. Bad values do no
-        harm to pixels around them.
+        "repaired", as the property of this name, which costs the wait that arrays on the GPU are spared. Bad values do
+        no harm to pixels around them.
 
-        stream (device "cuda"): the CUDA stream to work on, as a cupy.cuda.Stream, a torch.cuda.Stream, anything else with
-        ``__cuda_stream__``, or the address as an int (1: the legacy default stream). The call returns once the frame is
-        queued there; inputs may be results that the stream has yet to compute, and the results may be used on it at once;
-        it must live as long as they do. Without it a stream of the device's own is used, which keeps order with the
-        legacy default one, on which CuPy, PyTorch and JAX work unless told otherwise. Either way arrays of other streams
-        are waited for as DLPack says. Frames on different streams come one after the other.
+        stream (device "cuda"): the CUDA stream to work on, as a cupy.cuda.Stream, a torch.cuda.Stream, anything else
+        with ``__cuda_stream__``, or the address as an int (1: the legacy default stream). The call returns once the
+        frame is queued there; inputs may be results that the stream has yet to compute, and the results may be used on
+        it at once. Memory of results that are dropped serves later frames on the same stream. Without it a stream of the device's own is used, which keeps order
+        with the legacy default one, on which CuPy and PyTorch work unless told otherwise. Either way arrays of other
+        streams are waited for as DLPack says. Frames on different streams come one after the other.
 
         Raises InputError naming the image and the remedy, DeviceError, Interrupted; after them history starts afresh.
         """

@@ -7,16 +7,17 @@ from enum import IntFlag, auto
 
 import numpy as np
 
-from .scene import Instances, LightKind, Material, Mesh, Scene
+from .scene import Instances, LightKind, Material, MaterialKind, Mesh, Scene
 
 
 class Effects(IntFlag):
     """The bits are those of ``core/effects.h``.
 
-    TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides Lambert's. TRANSMISSION: a material
-    refracts. MESH_LIGHTS: a mesh emits. DELTA_LIGHTS: lamps without size. AREA_LIGHTS: lamps with size. ENVIRONMENT:
-    the world emits. CAMERA_MOTION, OBJECT_MOTION: moved since the previous frame. DEFORMATION: vertices moved within an
-    object.
+    TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides Lambert's. TRANSMISSION: a
+    material lets light through, other than straight. MESH_LIGHTS: a mesh emits. DELTA_LIGHTS: lamps without size.
+    AREA_LIGHTS: lamps with size. ENVIRONMENT: the world emits. CAMERA_MOTION, OBJECT_MOTION: moved since the previous
+    frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS, COAT,
+    SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
     """
 
     NONE = 0
@@ -30,6 +31,12 @@ class Effects(IntFlag):
     CAMERA_MOTION = auto()
     OBJECT_MOTION = auto()
     DEFORMATION = auto()
+    ALPHA = auto()
+    NORMAL_MAPS = auto()
+    COAT = auto()
+    SHEEN = auto()
+    ANISOTROPY = auto()
+    MATERIAL_MIXES = auto()
 
 
 def find_effects(scene: Scene) -> Effects:
@@ -55,11 +62,18 @@ def find_effects(scene: Scene) -> Effects:
 
 
 def used_materials(scene: Scene) -> np.ndarray:
-    """bool [M]: the materials that a triangle of an instance has."""
+    """bool [M]: the materials that a triangle of an instance has, and those that they mix."""
     used = np.zeros(len(scene.materials), dtype=bool)
     for slots, starts in slots_and_starts(scene.meshes, scene.instances):
         entries = np.asarray(scene.instances.material_table)[np.add.outer(np.unique(starts), slots)]
         used[entries.ravel()] = True
+    waiting = list(np.flatnonzero(used))
+    while waiting:
+        material = scene.materials[waiting.pop()]
+        for part in (material.first, material.second) if material.is_mix else ():
+            if not used[part]:
+                used[part] = True
+                waiting.append(part)
     return used
 
 
@@ -79,14 +93,49 @@ def instances_by_mesh(instance_mesh: np.ndarray, mesh_count: int) -> tuple[np.nd
 
 
 def _material_effects(material: Material) -> Effects:
+    """Of one material without those that it mixes."""
+    effects = Effects.TEXTURES if material.maps else Effects.NONE
+    if material.is_mix:
+        return effects | Effects.MATERIAL_MIXES
+    if "normal" in material.maps and material.may_have("normal_strength"):
+        effects |= Effects.NORMAL_MAPS
+    match material.kind:
+        case MaterialKind.PRINCIPLED:
+            effects |= _principled_effects(material)
+        case MaterialKind.DIFFUSE:
+            effects |= Effects.MESH_LIGHTS if max(material.emission) > 0.0 else Effects.NONE
+            effects |= Effects.SPECULAR if material.may_have("diffuse_roughness") else Effects.NONE
+        case MaterialKind.GLOSSY:
+            effects |= Effects.SPECULAR
+            if "anisotropic" in material.maps or material.anisotropic != 0.0:
+                effects |= Effects.ANISOTROPY
+        case MaterialKind.GLASS | MaterialKind.REFRACTION:
+            effects |= Effects.SPECULAR | Effects.TRANSMISSION
+        case MaterialKind.TRANSLUCENT:
+            effects |= Effects.TRANSMISSION
+        case MaterialKind.TRANSPARENT:
+            effects |= Effects.ALPHA
+    return effects
+
+
+def _principled_effects(material: Material) -> Effects:
     effects = Effects.NONE
-    if material.base_color_texture >= 0:
-        effects |= Effects.TEXTURES
-    dielectric = material.specular_ior_level > 0.0 and material.ior != 1.0
-    if material.metallic > 0.0 or material.transmission > 0.0 or dielectric:
-        effects |= Effects.SPECULAR
-    if material.transmission > 0.0:
-        effects |= Effects.TRANSMISSION
     if max(material.emission) > 0.0:
         effects |= Effects.MESH_LIGHTS
+    if "alpha" in material.maps or material.alpha < 1.0:
+        effects |= Effects.ALPHA
+    if material.may_have("sheen_weight"):
+        effects |= Effects.SHEEN | Effects.SPECULAR
+    if material.may_have("coat_weight"):
+        effects |= Effects.COAT | Effects.SPECULAR
+    if material.may_have("diffuse_roughness"):
+        effects |= Effects.SPECULAR
+    has_interface = "ior" in material.maps or material.ior != 1.0
+    is_metallic, is_glass = material.may_have("metallic"), material.may_have("transmission")
+    if is_metallic or is_glass or (has_interface and material.may_have("specular_ior_level")):
+        effects |= Effects.SPECULAR
+        if material.may_have("anisotropic"):
+            effects |= Effects.ANISOTROPY
+    if is_glass:
+        effects |= Effects.TRANSMISSION
     return effects

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .effects import Effects, find_effects, instances_by_mesh
-from .scene import Instances, Light, LightKind, Material, Mesh, Scene, Texture
+from .scene import MATERIAL_INPUTS, Instances, Light, LightKind, Material, MaterialKind, Mesh, Scene, Texture
 
 TRIANGLE = 5  # light_kind after those of LightKind
 
@@ -26,6 +26,48 @@ SMALLEST_LAMP_WIDTH = 1e-6
 
 # Determinant over the product of the column lengths, below which a matrix counts as not invertible.
 SMALLEST_DETERMINANT = 1e-12
+
+# First column of each value in FlatScene.materials. Names are those of Material, and "normal": the texel of the normal
+# map; normal_uv_layer: of the tangents, -1 without a normal map; map_start, map_count: its rows of material_maps;
+# light_emission: its radiance as a light that paths aim at, 0 where that depends on the place or the direction (its
+# light is then found by the rays that hit it).
+MATERIAL_COLUMNS = {
+    "base_color": 0,
+    "kind": 3,
+    "metallic": 4,
+    "roughness": 5,
+    "ior": 6,
+    "transmission": 7,
+    "specular_ior_level": 8,
+    "specular_tint": 9,
+    "emission": 12,
+    "alpha": 15,
+    "diffuse_roughness": 16,
+    "anisotropic": 17,
+    "anisotropic_rotation": 18,
+    "normal_strength": 19,
+    "coat_weight": 20,
+    "coat_roughness": 21,
+    "coat_ior": 22,
+    "sheen_weight": 23,
+    "coat_tint": 24,
+    "sheen_roughness": 27,
+    "sheen_tint": 28,
+    "factor": 31,
+    "first": 32,
+    "second": 33,
+    "factor_fresnel_ior": 34,
+    "factor_facing_blend": 35,
+    "normal": 36,
+    "normal_uv_layer": 39,
+    "map_start": 40,
+    "map_count": 41,
+    "tangent_uv_layer": 42,
+    "multiscatter": 43,
+    "light_emission": 44,
+}
+# A normal map's texel that leaves the normal as it is.
+NEUTRAL_NORMAL = (0.5, 0.5, 1.0)
 
 _INSTANCE_ARRAYS = (
     "instance_mesh",
@@ -52,8 +94,8 @@ class FlatScene:
     Instances (N rows): instance_mesh int32 [N], object_to_world, world_to_object, previous_object_to_world [N, 3, 4],
     object_id int32 [N], material_start int32 [N], material_table int32.
 
-    materials [M, 16]: base_color 0:3, base_color_texture 3, metallic 4, roughness 5, ior 6, transmission 7,
-    specular_ior_level 8, specular_tint 9:12, emission 12:15, 15 zero.
+    materials [M, 48]: see MATERIAL_COLUMNS; 47 is zero. material_maps [K, 12], those of a material one after the other:
+    column that the value goes to 0, texture 1, channel 2 (-1: RGB), uv_layer 3, uv_transform 4:10, 10:12 zero.
 
     camera_to_world, previous_camera_to_world [3, 4]; window, previous_window [4] (left, right, bottom, top); clip [2].
     world_radiance [3].
@@ -89,6 +131,7 @@ class FlatScene:
     material_table: np.ndarray
 
     materials: np.ndarray
+    material_maps: np.ndarray
     textures: tuple[Texture, ...]
 
     camera_to_world: np.ndarray
@@ -125,6 +168,7 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
     else:
         instance_arrays, warnings = _instance_arrays(scene, origin)
     materials = previous.materials if same_materials else material_rows(scene.materials)
+    material_maps = previous.material_maps if same_materials else material_map_rows(scene.materials)
 
     if same_instances and same_materials and _same_items(scene.lights, previous.scene.lights):
         light_arrays = {name: getattr(previous, name) for name in _LIGHT_ARRAYS}
@@ -143,6 +187,7 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
         mesh_bounds=mesh_bounds,
         **instance_arrays,
         materials=materials,
+        material_maps=material_maps,
         textures=tuple(scene.textures),
         camera_to_world=_relative(scene.camera.camera_to_world, origin),
         previous_camera_to_world=_relative(scene.previous_camera.camera_to_world, origin),
@@ -252,17 +297,74 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
 
 
 def material_rows(materials: tuple[Material, ...]) -> np.ndarray:
-    """[M, 16], see FlatScene."""
-    rows = np.zeros((len(materials), 16))
+    """[M, 48], see FlatScene."""
+    rows = np.zeros((len(materials), 48))
+    map_start = 0
     for row, material in zip(rows, materials):
-        row[0:3] = material.base_color
-        row[3] = material.base_color_texture
-        row[4:9] = (
-            material.metallic, material.roughness, material.ior, material.transmission, material.specular_ior_level
-        )  # fmt: skip
-        row[9:12] = material.specular_tint
-        row[12:15] = material.emission
+        for name, column in MATERIAL_COLUMNS.items():
+            value = getattr(material, name, None)
+            if value is not None:
+                row[column : column + np.size(value)] = value
+        row[MATERIAL_COLUMNS["normal"] :][:3] = NEUTRAL_NORMAL
+        has_normal = "normal" in material.maps and material.may_have("normal_strength")
+        row[MATERIAL_COLUMNS["normal_uv_layer"]] = material.maps["normal"].uv_layer if has_normal else -1
+        row[MATERIAL_COLUMNS["map_start"]] = map_start
+        row[MATERIAL_COLUMNS["map_count"]] = len(material.maps)
+        map_start += len(material.maps)
+    emissions: dict[int, np.ndarray | None] = {}
+    for index, row in enumerate(rows):
+        emission = _light_emission(materials, index, emissions)
+        if emission is not None:
+            row[MATERIAL_COLUMNS["light_emission"] :][:3] = emission
     return rows
+
+
+def material_map_rows(materials: tuple[Material, ...]) -> np.ndarray:
+    """[K, 12], see FlatScene."""
+    rows = [
+        (
+            MATERIAL_COLUMNS[name],
+            source.texture,
+            -1 if MATERIAL_INPUTS[name] == 3 else source.channel,
+            source.uv_layer,
+            *source.uv_transform,
+            0,
+            0,
+        )
+        for material in materials
+        for name, source in material.maps.items()
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 12)
+
+
+def _light_emission(
+    materials: tuple[Material, ...], index: int, known: dict[int, np.ndarray | None]
+) -> np.ndarray | None:
+    """Radiance [3] of a material; None where it depends on the place or the direction."""
+    if index not in known:
+        material = materials[index]
+        emission = np.array(material.emission, dtype=np.float64)
+        if material.is_mix:
+            parts = [_light_emission(materials, part, known) for part in (material.first, material.second)]
+            known[index] = None if any(part is None for part in parts) else _mixed_emission(material, *parts)
+        elif material.kind == MaterialKind.DIFFUSE or not emission.any():
+            known[index] = None if "emission" in material.maps and emission.any() else emission
+        elif material.kind == MaterialKind.PRINCIPLED:
+            layered = material.may_have("coat_weight") or material.may_have("sheen_weight")
+            varies = layered or "emission" in material.maps or "alpha" in material.maps
+            known[index] = None if varies else emission * material.alpha
+        else:
+            known[index] = np.zeros(3)
+    return known[index]
+
+
+def _mixed_emission(material: Material, first: np.ndarray, second: np.ndarray) -> np.ndarray | None:
+    if material.kind == MaterialKind.ADD:
+        return first + second
+    varies = "factor" in material.maps or material.factor_fresnel_ior > 0.0 or material.factor_facing_blend >= 0.0
+    if varies and (first.any() or second.any()):
+        return None
+    return first * (1.0 - material.factor) + second * material.factor
 
 
 def _lamps(lights: tuple[Light, ...], origin: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -315,7 +417,7 @@ def _emissive_triangles(
     meshes: tuple[Mesh, ...], instances: dict, materials: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Kinds, rows and selection weights of the triangles that emit, in instance order."""
-    emission = materials[:, 12:15]
+    emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
     table = instances["material_table"]
     emits = (emission.mean(axis=1) > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
     owners, vertices, radiances = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]

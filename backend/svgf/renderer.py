@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .albedo import albedo_tables
 from .devices import Device, open_device
 from .errors import InputError
 from .flatten import FlatScene, flatten
@@ -31,6 +32,7 @@ class SceneUploader:
         self._meshes: dict[int, tuple[Mesh, Any]] = {}
         self._textures: dict[int, tuple[Texture, Any]] = {}
         self.last: FlatScene | None = None
+        tracer.set_albedo_tables(albedo_tables())
 
     def upload(self, flat: FlatScene) -> None:
         """flat: the frame to trace next. Raises OutOfMemory, DeviceError."""
@@ -45,9 +47,10 @@ class SceneUploader:
                 flat.material_start,
                 flat.material_table,
             )
-        if textures is not None or self._changed(flat, ("materials",)):
+        if textures is not None or self._changed(flat, MATERIAL_FIELDS):
             self._tracer.set_materials(
-                np.asarray(flat.materials, self._dtype), [self._textures[id(texture)][1] for texture in flat.textures]
+                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
+                [self._textures[id(texture)][1] for texture in flat.textures],
             )
         if self._changed(flat, LIGHT_FIELDS):
             self._tracer.set_lights(
@@ -85,11 +88,18 @@ class SceneUploader:
         )
 
     def _new_texture(self, texture: Texture) -> Any:
-        return self._device.texture(texture.pixels, texture.srgb, int(texture.interpolation), int(texture.extension))
+        return self._device.texture(
+            texture.pixels,
+            texture.srgb,
+            int(texture.interpolation),
+            int(texture.extension),
+            texture.associated_alpha,
+        )
 
 
 TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
 INSTANCE_FIELDS = ("instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table")
+MATERIAL_FIELDS = ("materials", "material_maps")
 LIGHT_FIELDS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale", "world_radiance")
 CAMERA_FIELDS = ("camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip")
 

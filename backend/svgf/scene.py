@@ -27,6 +27,7 @@ class Interpolation(IntEnum):
 
     CLOSEST = 0
     LINEAR = 1
+    CUBIC = 2
 
 
 class Extension(IntEnum):
@@ -36,6 +37,20 @@ class Extension(IntEnum):
     EXTEND = 1
     CLIP = 2
     MIRROR = 3
+
+
+class MaterialKind(IntEnum):
+    """Blender's shader nodes. An Emission node is a black DIFFUSE that emits."""
+
+    PRINCIPLED = 0
+    DIFFUSE = 1
+    GLOSSY = 2
+    GLASS = 3
+    REFRACTION = 4
+    TRANSLUCENT = 5
+    TRANSPARENT = 6
+    MIX = 7
+    ADD = 8
 
 
 class LightKind(IntEnum):
@@ -57,7 +72,9 @@ class Mesh:
     positions: float32 [V, 3], metres.
     triangles: int32 [T, 3], indices into positions, counter-clockwise seen from the front.
     normals: float32 [T, 3, 3], unit shading normal of each corner (zero vectors mean: use the face normal).
-    uvs: float32 [T, 3, 2] texture coordinates of each corner, (0, 0) at the image's bottom left; None without a UV map.
+    uvs: float32 texture coordinates of each corner, (0, 0) at the image's bottom left: [T, 3, 2], or [L, T, 3, 2] with
+    several layers; None without a UV map. A layer has the same meaning in all meshes of a scene, 0 being the active one
+    of each mesh; a layer that a mesh does not have reads as (0, 0).
     material_slots: int32 [T], index into the material list of the instance.
     previous_positions: float32 [V, 3] at the previous frame where the mesh deforms, else None.
     """
@@ -91,36 +108,126 @@ class Instances:
 
 
 @dataclass(frozen=True)
-class Material:
-    """The inputs of Blender's Principled BSDF that svgf simulates; names and defaults are Blender's.
+class TextureMap:
+    """Where an input of a material reads its value.
 
-    base_color, specular_tint: linear RGB in [0, 1]. base_color_texture: index into Scene.textures, -1 for none; it
-    replaces base_color. metallic, roughness, transmission, specular_ior_level: [0, 1]. ior: >= 1 (1: no interface).
-    emission: radiance per channel (colour times strength), >= 0.
+    texture: index into Scene.textures. channel: what a scalar input reads, 0 to 3 for R, G, B, A; colours read RGB.
+    uv_layer: of the mesh. uv_transform (a, b, c, d, e, f): the texture is read at (a u + b v + c, d u + e v + f).
+    """
+
+    texture: int
+    channel: int = 0
+    uv_layer: int = 0
+    uv_transform: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+# Inputs of a material that a map can drive, and their channels.
+MATERIAL_INPUTS: dict[str, int] = {
+    "base_color": 3,
+    "metallic": 1,
+    "roughness": 1,
+    "ior": 1,
+    "transmission": 1,
+    "specular_ior_level": 1,
+    "specular_tint": 3,
+    "emission": 3,
+    "alpha": 1,
+    "diffuse_roughness": 1,
+    "anisotropic": 1,
+    "anisotropic_rotation": 1,
+    "normal_strength": 1,
+    "coat_weight": 1,
+    "coat_roughness": 1,
+    "coat_ior": 1,
+    "coat_tint": 3,
+    "sheen_weight": 1,
+    "sheen_roughness": 1,
+    "sheen_tint": 3,
+    "factor": 1,
+    "normal": 3,
+}
+# Mixes of mixes that a material may be made of, one within the other.
+DEEPEST_MIX = 16
+
+
+@dataclass(frozen=True)
+class Material:
+    """A shader node of Blender with its inputs; names and defaults are those of the Principled BSDF.
+
+    Colours are linear RGB in [0, 1]. metallic, roughness, transmission, alpha, coat_weight, coat_roughness, sheen_weight,
+    sheen_roughness, diffuse_roughness, subsurface_weight: [0, 1]. specular_ior_level: >= 0, 0.5 leaves the IOR as it is.
+    ior, coat_ior: >= 0 (1: no interface). emission: radiance per channel (colour times strength), >= 0.
+    anisotropic: [-1, 1], below 0 for GLOSSY alone. anisotropic_rotation: turns, [0, 1]. tangent_uv_layer: UV layer whose
+    U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
+    subsurface_weight is rendered as diffuse. normal_strength: >= 0, of the map "normal", which is in tangent space.
+    multiscatter: light that is reflected between microfacets is not lost (Blender's distribution "Multiscatter GGX").
+
+    What the other kinds read:
+
+    - DIFFUSE: base_color, diffuse_roughness, emission. TRANSLUCENT, TRANSPARENT: base_color.
+    - GLOSSY: base_color, roughness, anisotropic, anisotropic_rotation. GLASS, REFRACTION: base_color, roughness, ior.
+    - MIX: first and second are indices into Scene.materials, and factor in [0, 1] is the share of the second. Where
+      factor_fresnel_ior > 0, the factor is instead what Blender's Fresnel node gives for this IOR; where
+      factor_facing_blend >= 0, the output Facing of its Layer Weight node for this blend.
+    - ADD: the sum of first and second.
+
+    maps: by input (see MATERIAL_INPUTS), the texture that replaces its constant; that of "emission" multiplies it.
     """
 
     name: str = "Default"
+    kind: MaterialKind = MaterialKind.PRINCIPLED
     base_color: tuple[float, float, float] = (0.8, 0.8, 0.8)
-    base_color_texture: int = -1
     metallic: float = 0.0
     roughness: float = 0.5
     ior: float = 1.5
     transmission: float = 0.0
     specular_ior_level: float = 0.5
     specular_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    anisotropic: float = 0.0
+    anisotropic_rotation: float = 0.0
+    tangent_uv_layer: int = -1
+    coat_weight: float = 0.0
+    coat_roughness: float = 0.03
+    coat_ior: float = 1.5
+    coat_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    sheen_weight: float = 0.0
+    sheen_roughness: float = 0.5
+    sheen_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    alpha: float = 1.0
+    diffuse_roughness: float = 0.0
+    subsurface_weight: float = 0.0
+    normal_strength: float = 1.0
+    multiscatter: bool = True
+    maps: dict[str, TextureMap] = field(default_factory=dict)
+    first: int = -1
+    second: int = -1
+    factor: float = 0.5
+    factor_fresnel_ior: float = 0.0
+    factor_facing_blend: float = -1.0
+
+    @property
+    def is_mix(self) -> bool:
+        return self.kind in (MaterialKind.MIX, MaterialKind.ADD)
+
+    def may_have(self, weight: str) -> bool:
+        """Whether a scalar input is anywhere above 0, as far as constants tell."""
+        return weight in self.maps or getattr(self, weight) > 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
     """pixels: [H, W, 4], row 0 at the bottom as Blender stores it; uint8 (sRGB if srgb is set, else linear) or
-    float32 (linear, srgb must be False). uint8 sRGB texels are interpolated first and decoded after, as Cycles does."""
+    float32 (linear, srgb must be False). uint8 sRGB texels are interpolated first and decoded after, as Cycles does.
+    associated_alpha: colours are stored times alpha, in the pixels' encoding, and a lookup divides by the interpolated
+    alpha; where it is not set, colours are read as they are. Alpha itself is never decoded."""
 
     name: str
     pixels: np.ndarray
     srgb: bool
     interpolation: Interpolation = Interpolation.LINEAR
     extension: Extension = Extension.REPEAT
+    associated_alpha: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,11 @@ A file is a zip archive:
 
 - ``arrays/DIGEST.npy``: every array once, in numpy's format 1.0, C order, little endian. DIGEST is the BLAKE2b-128 of
   the entry, so frames share the arrays that are equal.
-- ``manifest.json``: ``{"format": "svgf scene", "version": 1, "tables": {...}, "frames": [...]}``. A table lists the
+- ``manifest.json``: ``{"format": "svgf scene", "version": 2, "tables": {...}, "frames": [...]}``. A table lists the
   distinct objects of one kind as records of their fields, arrays given by digest; a frame names its objects by row.
+
+Files of older versions are read: fields that they lack take their defaults. Version 1 had one texture in a material,
+of its base colour.
 
 Equal scenes give equal bytes: there is no date, user or machine in a file. Nothing in it is ever executed (no pickle),
 and everything is checked, before it is written and after it is read: files are edited, cut off and sent by strangers.
@@ -25,7 +28,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -44,17 +47,19 @@ from .scene import (
     Light,
     LightKind,
     Material,
+    MaterialKind,
     Mesh,
     Projection,
     RenderDefaults,
     Scene,
     Texture,
+    TextureMap,
     World,
 )
 from .scene_validation import SceneValidator, shown
 
 FORMAT = "svgf scene"
-VERSION = 1
+VERSION = 2
 
 _MANIFEST = "manifest.json"
 _TABLES: dict[str, type] = {
@@ -196,12 +201,15 @@ class SceneFile:
                 f"{self.path} has format version {version}; this svgf reads up to {VERSION}.",
                 "Update it: pip install --upgrade svgf",
             )
-        if version != VERSION:
+        if type(version) is not int or version < 1:
             raise self._damaged(f"version is {version!r}")
 
         tables = manifest.get("tables")
         if not isinstance(tables, dict) or not all(isinstance(tables.get(name), list) for name in _TABLES):
             raise self._damaged("tables is incomplete")
+        if version < 2:
+            for record in tables["materials"]:
+                _upgrade_material(record)
         records = manifest.get("frames")
         if not isinstance(records, list) or not records:
             raise self._damaged("frames is empty")
@@ -218,10 +226,12 @@ class SceneFile:
         if not isinstance(record, dict):
             raise _Malformed(field, "is not a record")
         decoders = _SCHEMA[kind]
-        if record.keys() != decoders.keys():
-            odd = sorted(record.keys() ^ decoders.keys())[0]
-            raise _Malformed(f"{field}.{odd}", "is missing" if odd in decoders else "is not a known field")
-        return {name: decode(self, f"{field}.{name}", record[name]) for name, decode in decoders.items()}
+        odd = sorted((record.keys() ^ decoders.keys()) - (_OPTIONAL[kind] - record.keys()))
+        if odd:
+            raise _Malformed(f"{field}.{odd[0]}", "is missing" if odd[0] in decoders else "is not a known field")
+        return {
+            name: decode(self, f"{field}.{name}", record[name]) for name, decode in decoders.items() if name in record
+        }
 
     def _object(self, table: str, field: str, row: Any) -> Any:
         records = self._tables[table]
@@ -344,6 +354,22 @@ def _record_of(kind: type) -> _Decoder:
     return lambda file, field, record: kind(**file._decode(kind, field, record))
 
 
+def _dict_of(decode_value: _Decoder) -> _Decoder:
+    def decode(file: SceneFile, field: str, values: Any) -> Any:
+        if not isinstance(values, dict):
+            raise _Malformed(field, f"is {shown(values)}, not a record")
+        return {name: decode_value(file, f"{field}[{name}]", value) for name, value in values.items()}
+
+    return decode
+
+
+def _upgrade_material(record: Any) -> None:
+    """From version 1, in place. What is odd is left for the decoder to find."""
+    texture = record.pop("base_color_texture", -1) if isinstance(record, dict) else -1
+    if texture != -1:
+        record["maps"] = {"base_color": {"texture": texture}}
+
+
 _text, _flag, _integer, _number = _plain(str), _plain(bool), _plain(int), _plain(float, int)
 _numbers = _tuple_of(_number)
 _array: _Decoder = SceneFile._array
@@ -362,22 +388,45 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
     Instances: dict.fromkeys((field.name for field in fields(Instances)), _array),
     Material: {
         "name": _text,
+        "kind": _member(MaterialKind),
         "base_color": _numbers,
-        "base_color_texture": _integer,
         "metallic": _number,
         "roughness": _number,
         "ior": _number,
         "transmission": _number,
         "specular_ior_level": _number,
         "specular_tint": _numbers,
+        "anisotropic": _number,
+        "anisotropic_rotation": _number,
+        "tangent_uv_layer": _integer,
+        "coat_weight": _number,
+        "coat_roughness": _number,
+        "coat_ior": _number,
+        "coat_tint": _numbers,
+        "sheen_weight": _number,
+        "sheen_roughness": _number,
+        "sheen_tint": _numbers,
         "emission": _numbers,
+        "alpha": _number,
+        "diffuse_roughness": _number,
+        "subsurface_weight": _number,
+        "normal_strength": _number,
+        "multiscatter": _flag,
+        "maps": _dict_of(_record_of(TextureMap)),
+        "first": _integer,
+        "second": _integer,
+        "factor": _number,
+        "factor_fresnel_ior": _number,
+        "factor_facing_blend": _number,
     },
+    TextureMap: {"texture": _integer, "channel": _integer, "uv_layer": _integer, "uv_transform": _numbers},
     Texture: {
         "name": _text,
         "pixels": _array,
         "srgb": _flag,
         "interpolation": _member(Interpolation),
         "extension": _member(Extension),
+        "associated_alpha": _flag,
     },
     Light: {
         "name": _text,
@@ -413,6 +462,12 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "defaults": _record_of(RenderDefaults),
         "warnings": _tuple_of(_text),
     },
+}
+
+# What a file may leave out.
+_OPTIONAL = {
+    kind: {f.name for f in fields(kind) if f.default is not MISSING or f.default_factory is not MISSING}
+    for kind in _SCHEMA
 }
 
 
@@ -461,6 +516,8 @@ class _Writer:
             return self._add_array(value)
         if isinstance(value, tuple):
             return [self._encode(item) for item in value]
+        if isinstance(value, dict):
+            return {name: self._encode(value[name]) for name in sorted(value)}
         if isinstance(value, Enum):
             return value.name
         if is_dataclass(value):

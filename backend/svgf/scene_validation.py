@@ -17,6 +17,8 @@ import numpy as np
 
 from .errors import InputError
 from .scene import (
+    DEEPEST_MIX,
+    MATERIAL_INPUTS,
     Camera,
     Extension,
     Instances,
@@ -24,17 +26,24 @@ from .scene import (
     Light,
     LightKind,
     Material,
+    MaterialKind,
     Mesh,
     Projection,
     RenderDefaults,
     Scene,
     Texture,
+    TextureMap,
 )
 
 LARGEST_IMAGE_SIDE = 65536
+MOST_UV_LAYERS = 64
 # Beyond this, products of two numbers leave the range of float32.
 _LARGEST_NUMBER = 1e18
 _INT32_MAX = 2**31 - 1
+_SHARES = (
+    "metallic", "roughness", "transmission", "anisotropic_rotation", "coat_weight", "coat_roughness", "sheen_weight",
+    "sheen_roughness", "alpha", "diffuse_roughness", "subsurface_weight", "factor",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,8 @@ class SceneValidator:
                 _check_texture(f"textures[{index}]", texture)
                 self._textures[texture] = True
         for index, material in enumerate(_items("materials", scene.materials, Material)):
-            _check_material(f"materials[{index}]", material, len(scene.textures))
+            _check_material(f"materials[{index}]", material, len(scene.textures), len(scene.materials))
+        _check_mixes(scene.materials)
         for index, mesh in enumerate(_items("meshes", scene.meshes, Mesh)):
             if mesh not in self._meshes:
                 self._meshes[mesh] = _check_mesh(f"meshes[{index}]", mesh)
@@ -128,16 +138,58 @@ def _check_light(field: str, light: Light) -> None:
     _instance(f"{field}.soft_falloff", light.soft_falloff, bool)
 
 
-def _check_material(field: str, material: Material, texture_count: int) -> None:
+def _check_material(field: str, material: Material, texture_count: int, material_count: int) -> None:
     _text(f"{field}.name", material.name)
     field = _named(field, material.name)
-    _numbers(f"{field}.base_color", material.base_color, 3, 0.0, 1.0)
-    _integer(f"{field}.base_color_texture", material.base_color_texture, -1, texture_count - 1)
-    for name in ("metallic", "roughness", "transmission", "specular_ior_level"):
+    _instance(f"{field}.kind", material.kind, MaterialKind)
+    for name in ("base_color", "specular_tint", "coat_tint", "sheen_tint"):
+        _numbers(f"{field}.{name}", getattr(material, name), 3, 0.0, 1.0)
+    for name in _SHARES:
         _number(f"{field}.{name}", getattr(material, name), 0.0, 1.0)
-    _number(f"{field}.ior", material.ior, 1.0)
-    _numbers(f"{field}.specular_tint", material.specular_tint, 3, 0.0, 1.0)
+    for name in ("ior", "specular_ior_level", "coat_ior", "normal_strength", "factor_fresnel_ior"):
+        _number(f"{field}.{name}", getattr(material, name), 0.0)
+    _number(f"{field}.anisotropic", material.anisotropic, -1.0, 1.0)
+    _number(f"{field}.factor_facing_blend", material.factor_facing_blend, -1.0, 1.0)
+    _instance(f"{field}.multiscatter", material.multiscatter, bool)
+    _integer(f"{field}.tangent_uv_layer", material.tangent_uv_layer, -1, MOST_UV_LAYERS - 1)
     _numbers(f"{field}.emission", material.emission, 3, 0.0)
+    for name, texture_map in _instance(f"{field}.maps", material.maps, dict).items():
+        if name not in MATERIAL_INPUTS:
+            raise _Invalid(f"{field}.maps", f"has {shown(name)}, which is not an input that a texture can drive")
+        _check_texture_map(f"{field}.maps[{name}]", texture_map, texture_count)
+    lowest = 0 if material.is_mix else -1
+    for name in ("first", "second"):
+        _integer(f"{field}.{name}", getattr(material, name), lowest, material_count - 1)
+
+
+def _check_texture_map(field: str, texture_map: TextureMap, texture_count: int) -> None:
+    _instance(field, texture_map, TextureMap)
+    _integer(f"{field}.texture", texture_map.texture, 0, texture_count - 1)
+    _integer(f"{field}.channel", texture_map.channel, 0, 3)
+    _integer(f"{field}.uv_layer", texture_map.uv_layer, 0, MOST_UV_LAYERS - 1)
+    _numbers(f"{field}.uv_transform", texture_map.uv_transform, 6)
+
+
+def _check_mixes(materials: tuple[Material, ...]) -> None:
+    """That mixes end in materials that are none."""
+    depths: dict[int, int] = {}
+
+    def depth(index: int, above: tuple[int, ...]) -> int:
+        material = materials[index]
+        field = _named(f"materials[{index}]", material.name)
+        if index in above:
+            raise _Invalid(field, "mixes itself")
+        if len(above) > DEEPEST_MIX:
+            raise _Invalid(field, f"lies within more than {DEEPEST_MIX} mixes")
+        if index not in depths:
+            parts = (material.first, material.second) if material.is_mix else ()
+            depths[index] = 1 + max((depth(part, (*above, index)) for part in parts), default=-1)
+        if len(above) + depths[index] > DEEPEST_MIX:
+            raise _Invalid(field, f"lies within more than {DEEPEST_MIX} mixes")
+        return depths[index]
+
+    for index in range(len(materials)):
+        depth(index, ())
 
 
 def _check_texture(field: str, texture: Texture) -> None:
@@ -146,6 +198,7 @@ def _check_texture(field: str, texture: Texture) -> None:
     _instance(f"{field}.srgb", texture.srgb, bool)
     _instance(f"{field}.interpolation", texture.interpolation, Interpolation)
     _instance(f"{field}.extension", texture.extension, Extension)
+    _instance(f"{field}.associated_alpha", texture.associated_alpha, bool)
     is_float = _instance(f"{field}.pixels", texture.pixels, np.ndarray).dtype == np.float32
     pixels = _array(f"{field}.pixels", texture.pixels, np.float32 if is_float else np.uint8, (None, None, 4))
     if pixels.size == 0 or max(pixels.shape) > LARGEST_IMAGE_SIDE:
@@ -169,7 +222,11 @@ def _check_mesh(field: str, mesh: Mesh) -> _MeshFacts:
     _indices(f"{field}.triangles", triangles, len(positions), "vertices")
     _indices(f"{field}.material_slots", slots, _INT32_MAX, "slots")
     if mesh.uvs is not None:
-        _finite(f"{field}.uvs", _array(f"{field}.uvs", mesh.uvs, np.float32, (count, 3, 2)))
+        layers = (None,) if getattr(mesh.uvs, "ndim", 3) == 4 else ()
+        uvs = _array(f"{field}.uvs", mesh.uvs, np.float32, (*layers, count, 3, 2))
+        if layers and not 1 <= len(uvs) <= MOST_UV_LAYERS:
+            raise _Invalid(f"{field}.uvs", f"has {len(uvs)} layers, not 1 to {MOST_UV_LAYERS}")
+        _finite(f"{field}.uvs", uvs)
 
     warnings = []
     broken = ~np.isfinite(positions).all(axis=1)

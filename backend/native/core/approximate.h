@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// exp2, log2 and 1/x as fast as the device can. On the GPU these are single instructions; their errors, by the CUDA
-// programming guide: exp2 2 ulp + x 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 (else 2 ulp), 1/x 1 ulp, 1/sqrt(x) 2 ulp, sqrt 2 ulp.
+// Functions as fast as the device can. On the GPU each is a single instruction; their errors, by the PTX manual: exp2 and
+// 1/sqrt(x) 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 and relative elsewhere, 1/x and sqrt 2^-23 relative.
 // Denormals count as 0. The host's are correctly rounded or nearly so.
 #pragma once
 

@@ -20,7 +20,13 @@ enum class Effects : std::uint32_t {
     camera_motion = 1u << 7,
     object_motion = 1u << 8,
     deformation = 1u << 9,
-    all = (1u << 10) - 1,
+    alpha = 1u << 10,
+    normal_maps = 1u << 11,
+    coat = 1u << 12,
+    sheen = 1u << 13,
+    anisotropy = 1u << 14,
+    material_mixes = 1u << 15,
+    all = (1u << 16) - 1,
 };
 
 SVGF_HD constexpr Effects operator|(Effects a, Effects b) { return Effects(std::uint32_t(a) | std::uint32_t(b)); }

@@ -17,9 +17,9 @@ SVGF_HD inline uint32_t bits_of(float value) {
     return bits;
 }
 
-// A float >= 0 with 7 bits of exponent and `mantissa` bits of mantissa, 0 and 2^-63 to 2^64: wider than half, and good to
-// 2^-(mantissa + 1). Smaller ones become 0, larger ones the largest. noise in [0, 1): 1/2 rounds to nearest, a random one
-// makes the expected value that of the float.
+// A float >= 0 with 7 bits of exponent and `mantissa` bits of mantissa: 0 and 2^-62 to 2^65, wider than half, good to
+// 2^-(mantissa + 1). Smaller ones become 0, larger ones the largest. noise in [0, 1): 1/2 rounds to nearest, a random
+// one makes the expected value that of the float.
 template <int mantissa>
 SVGF_HD inline uint32_t encode_positive(float value, float noise = 0.5f) {
     constexpr int shift = 23 - mantissa;

@@ -17,6 +17,8 @@
 
 #if defined(__CUDA_ARCH__)
 #define SVGF_UNROLL _Pragma("unroll")
+#define SVGF_NO_UNROLL _Pragma("unroll 1")
 #else
 #define SVGF_UNROLL
+#define SVGF_NO_UNROLL
 #endif

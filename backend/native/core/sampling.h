@@ -44,8 +44,9 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 // 24 bits: exact in a float, and below 1.
 SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
 
-// Names of the pairs. Those of a path's vertex follow each other; vertex 0 is the first hit.
-enum class SamplePair : std::uint32_t { pixel = 0, direction = 1, lobe_and_roulette = 2, light_point = 3, light = 4 };
+// Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. That of the
+// surface's material is far from all others.
+enum class SamplePair : std::uint32_t { pixel = 0, direction = 1, lobe_and_roulette = 2, light_point = 3, light = 4, surface = 1 << 16 };
 
 // All random numbers of one sample of one pixel.
 struct Sampler {

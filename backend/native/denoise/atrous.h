@@ -11,10 +11,10 @@
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.
 //
-// On tiles. The taps of a level with spacing s join only pixels that are multiples of s apart, so a tile is taken from one
-// such lattice (of 1, 2 or 4 neighbouring columns, so that reads of memory stay whole): whatever the spacing, a pixel is
-// read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed distances. A thread
-// filters two pixels, which share half of their taps.
+// On tiles. The taps of a level with spacing s join only pixels that are multiples of s apart, so a tile is taken from
+// one such lattice (of 1, 2 or 4 neighbouring columns, so that reads of memory stay whole): whatever the spacing, a
+// pixel is read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed distances. A
+// thread filters two pixels, which share half of their taps.
 #pragma once
 
 #include "denoise/method.h"
@@ -35,7 +35,12 @@ SVGF_HD constexpr float kernel(int distance) {
 // Its logarithm to the base 2, of a tap (i, j) steps away.
 template <int Radius>
 SVGF_HD constexpr float kernel_log2(int i, int j) {
-    const auto of = [](int d) { return Radius == 1 ? (d ? -2.0f : -1.0f) : d == 0 ? -1.4150374993f : d == 2 || d == -2 ? -4.0f : -2.0f; };
+    const auto of = [](int distance) {
+        if constexpr (Radius == 2)
+            return distance == 0 ? -1.4150374993f : distance == 1 || distance == -1 ? -2.0f : -4.0f;
+        else
+            return distance == 0 ? -1.0f : -2.0f;
+    };
     return of(i) + of(j);
 }
 SVGF_HD constexpr float gaussian(int distance) { return distance == 0 ? 0.5f : 0.25f; }
@@ -43,8 +48,8 @@ SVGF_HD constexpr float gaussian(int distance) { return distance == 0 ? 0.5f : 0
 // Columns of the lattice that a tile takes together.
 constexpr int most_phases_log2 = 2;
 
-// Where the tiles of a level lie: 32 x 16 pixels of a lattice with spacing 2^level, 2^phases_log2 neighbouring columns of
-// it, with a margin for the taps.
+// Where the tiles of a level lie: 32 x 16 pixels of a lattice with spacing 2^level, 2^phases_log2 neighbouring columns
+// of it, with a margin for the taps.
 template <int radius, int phases_log2>
 struct Lattice {
     static constexpr int columns = 32, rows = 16;
@@ -71,19 +76,20 @@ struct Lattice {
     }
 
 private:
-    SVGF_HD int span_x_log2() const { return 5 - phases_log2 + level; }  // pixels from a tile to the next of its lattice
+    // Pixels from a tile to the next of its lattice.
+    SVGF_HD int span_x_log2() const { return 5 - phases_log2 + level; }
     SVGF_HD int span_y_log2() const { return 4 + level; }
     static int divide_up(int size, int unit_log2) { return (size + (1 << unit_log2) - 1) >> unit_log2; }
 };
 
-// sink(pixel, color) takes the result: rgb and variance of each signal.
+// sink(pixel, color) takes the result, rgb and variance of each signal.
 template <class Method, int Signals, int PhasesLog2, class Sink>
 struct Atrous {
     using Storage = typename Method::Storage;
     static constexpr int radius = Method::radius, rows_per_thread = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
-    static constexpr int blocks = Method::radius == 1 && Signals == 1 ? 4 : 3;  // fastest on an H200
+    static constexpr int blocks = 5 - Signals;  // as the registers allow; fastest on an H200
 
     struct Tile {
         static constexpr int places = Lattice::width * Lattice::height;

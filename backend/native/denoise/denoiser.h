@@ -89,10 +89,10 @@ struct BufferInfo {
     size_t bytes;
 };
 
-template <class Storage, int Signals>
-struct Modulate;
-template <class Storage>
-struct Reprojection;
+template <class Storage, int Signals> struct Demodulate;
+template <class Storage, int Signals> struct Temporal;
+template <class Storage, int Signals> struct Modulate;
+template <class Storage> struct Reprojection;
 
 class Denoiser {
 public:
@@ -154,9 +154,9 @@ private:
 
     template <class Method, int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
     template <int Signals> void run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
-    template <class Storage, int Signals> void demodulate(const DenoiseInputs& inputs);
+    template <class Storage, int Signals> Demodulate<Storage, Signals> demodulate(const DenoiseInputs& inputs);
     template <class Storage> Reprojection<Storage> reprojection(const DenoiseInputs& inputs);
-    template <class Storage, int Signals> void temporal(const DenoiseInputs& inputs);
+    template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
     template <int Signals> void temporal_plus(const DenoiseInputs& inputs);
     template <int Signals> void antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
     template <class Method, int Signals> void variance();

@@ -59,8 +59,9 @@ SVGF_HD inline bool is_surface(float depth) { return depth < background_depth; }
 
 constexpr float log2_e = 1.44269504088896341f, ln_2 = 0.693147180559945309f;
 
-// w_z and w_n of a pixel's taps [Schied17, Eq. 3, 4] as logarithms to the base 2, so that a signal's w_l joins them under
-// one exponential. A tap whose depth is infinity weighs 0. Normal is how w_n follows from the cosine between the normals:
+// w_z and w_n of a pixel's taps [Schied17, Eq. 3, 4] as logarithms to the base 2, so that a signal's w_l joins them
+// under one exponential. A tap whose depth is infinity weighs 0. Normal is how w_n follows from the cosine between the
+// normals:
 //
 //   CosinePower   cosine^sigma, the paper's
 //   CosineLobe    exp(sigma (cosine - 1)), the same to second order where it is not small, and three multiply-adds
@@ -92,8 +93,8 @@ struct EdgeWeight {
     Vec2 slope;
 
     SVGF_HD EdgeWeight(Vec4 normal_depth, Vec2 gradient, float sigma_depth, float sigma_normal)
-        : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w), tolerance((depth_epsilon * depth + 1e-30f) * ln_2),
-          slope((sigma_depth * ln_2) * gradient) {}
+        : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w),
+          tolerance((depth_epsilon * depth + 1e-30f) * ln_2), slope((sigma_depth * ln_2) * gradient) {}
 
     // Of depth differences to taps (i, j) steps away; the same for (-i, -j).
     SVGF_HD float depth_scale(int i, int j, float step) const {

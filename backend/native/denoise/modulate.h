@@ -28,9 +28,10 @@ struct Modulate {
     }
 
     SVGF_HD void operator()(int x, int y) const {
+        const int pixel = guides.pixel(x, y);
         Vec4 filtered[Signals];
-        for (int s = 0; s < Signals; ++s) filtered[s] = in_color[s][guides.pixel(x, y)];
-        (*this)(guides.pixel(x, y), filtered);
+        for (int s = 0; s < Signals; ++s) filtered[s] = in_color[s][pixel];
+        (*this)(pixel, filtered);
     }
 
     SVGF_HD void operator()(int pixel, const Vec4 (&filtered)[Signals]) const {

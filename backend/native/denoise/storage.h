@@ -93,7 +93,8 @@ struct PackedStorage {
         uint16_t length;     // sixteenths of a frame; stays at 4095 when it gets there
     };
     static constexpr bool holds_any_bits = false;  // every pattern of bits is a number in range
-    static constexpr int guide_bytes = sizeof(Guide), length_bytes = guide_bytes, color_bytes = sizeof(PackedColor), moments_bytes = 4;
+    static constexpr int guide_bytes = sizeof(Guide), length_bytes = guide_bytes;
+    static constexpr int color_bytes = sizeof(PackedColor), moments_bytes = 4;
 
     struct Guides : FrameSize {
         Guides() = default;

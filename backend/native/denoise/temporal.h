@@ -31,6 +31,10 @@ struct Temporal {
         const int history = reprojection.prev_guides ? Signals * (Storage::color_bytes + Storage::moments_bytes) : 0;
         return reprojection.bytes_per_pixel() + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) + history;
     }
+    // Where demodulate has just written this pixel's guides and colour, which are written again or not at all.
+    int bytes_per_pixel_after_demodulate() const {
+        return bytes_per_pixel() - Storage::guide_bytes - Signals * 2 * Storage::color_bytes;
+    }
 
     SVGF_HD void operator()(int x, int y) const {
         const auto& guides = reprojection.guides;

@@ -50,6 +50,7 @@ Device::Device(int index) : index_(index) {
 Device::~Device() {
     // The process may be on its way out, or the device lost: nothing here may throw.
     if (!own_stream_) return;
+    free_kept();
     if (must_wait_) cudaEventSynchronize(last_work_);
     cudaStreamSynchronize(own_stream_);
     for (auto& span : spans_) {
@@ -71,37 +72,62 @@ void Device::check(cudaError_t error, const char* stage) const {
 
 void* Device::allocate(size_t bytes, const char* what) {
     cudaSetDevice(index_);  // the calling thread may have another one
+    StreamMemory memory{0, bytes};
+    if (stream_ != own_stream_) {
+        check(cudaStreamGetId(stream_, &memory.first), last_stage_);
+        std::lock_guard lock(mutex_);
+        if (const auto found = kept_.find(memory); found != kept_.end()) {
+            void* data = found->second;
+            kept_.erase(found);
+            in_use_[data] = memory;
+            return data;
+        }
+    }
     void* data = nullptr;
-    const cudaError_t error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream());
+    cudaError_t error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream());
+    if (error == cudaErrorMemoryAllocation) {
+        cudaGetLastError();
+        free_kept();
+        error = cudaMallocFromPoolAsync(&data, bytes ? bytes : 1, pool_, stream());
+    }
     if (error == cudaErrorMemoryAllocation) {
         cudaGetLastError();
         size_t free_bytes = 0, total_bytes = 0;
         cudaMemGetInfo(&free_bytes, &total_bytes);
         throw OutOfMemory(last_stage_,
-                          "The GPU has no room for " + std::string(what) + " (" + std::to_string(bytes >> 20) + " MiB; " +
-                              std::to_string(free_bytes >> 20) + " of " + std::to_string(total_bytes >> 20) + " MiB free).",
+                          "The GPU has no room for " + std::string(what) + " (" + std::to_string(bytes >> 20) +
+                              " MiB; " + std::to_string(free_bytes >> 20) + " of " +
+                              std::to_string(total_bytes >> 20) + " MiB free).",
                           "Render smaller, close other programs that use the GPU, or use device \"cpu\".");
     }
     check(error, last_stage_);
     if (stream_ != own_stream_) {
         std::lock_guard lock(mutex_);
-        elsewhere_[data] = stream_;
+        in_use_[data] = memory;
     }
     return data;
 }
 
 void Device::release(void* data) noexcept {
-    cudaStream_t stream = own_stream_;
     {
         std::lock_guard lock(mutex_);
-        if (const auto found = elsewhere_.find(data); found != elsewhere_.end()) {
-            stream = found->second;
-            elsewhere_.erase(found);
-        } else if (must_wait_) {
-            cudaStreamWaitEvent(own_stream_, last_work_);
+        if (const auto found = in_use_.find(data); found != in_use_.end()) {
+            kept_.emplace(found->second, data);
+            in_use_.erase(found);
+            return;
         }
     }
-    cudaFreeAsync(data, stream);
+    if (must_wait_) cudaStreamWaitEvent(own_stream_, last_work_);
+    cudaFreeAsync(data, own_stream_);
+}
+
+void Device::free_kept() {
+    std::lock_guard lock(mutex_);
+    if (kept_.empty()) return;
+    cudaDeviceSynchronize();
+    for (const auto& [memory, data] : kept_) cudaFreeAsync(data, own_stream_);
+    kept_.clear();
+    cudaStreamSynchronize(own_stream_);
 }
 
 cudaStream_t Device::stream() {

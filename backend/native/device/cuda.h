@@ -34,7 +34,8 @@ __global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::bl
     // Raw bytes: shared memory has no constructors.
     __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
     Tile& tile = *reinterpret_cast<Tile*>(memory);
-    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += Stage::threads_x * Stage::threads_y)
+    constexpr int threads = Stage::threads_x * Stage::threads_y;
+    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += threads)
         stage.load(tile, blockIdx.x, blockIdx.y, i);
     __syncthreads();
     stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
@@ -105,8 +106,9 @@ public:
     int index() const { return index_; }
 
     // While it lives, all work and allocation is on the caller's stream; nothing given: on the device's own. Work of
-    // before and after keeps its order, as the streams wait for each other (the host does not). What was allocated on a
-    // caller's stream is freed on it: the stream must live as long.
+    // before and after keeps its order, as the streams wait for each other (the host does not). Afterwards the stream is
+    // not touched again, since it may be gone: memory that was allocated on it is kept for it when it is released, as
+    // only the stream itself can tell when what was queued there has been read.
     class StreamScope {
     public:
         StreamScope(Device& device, std::optional<uintptr_t> stream);
@@ -142,8 +144,14 @@ private:
     cudaStream_t stream_ = nullptr;      // that work goes to now
     cudaEvent_t last_work_ = nullptr;    // on a caller's stream
     bool must_wait_ = false;             // the own stream, for last_work_
-    std::mutex mutex_;                   // of elsewhere_: arrays may die in any thread
-    std::map<void*, cudaStream_t> elsewhere_;  // memory that is a caller's stream's
+
+    // Memory of a caller's stream: the number that no other stream ever gets, bytes.
+    using StreamMemory = std::pair<unsigned long long, size_t>;
+    std::mutex mutex_;  // of the two: images may die in any thread
+    std::map<void*, StreamMemory> in_use_;
+    std::multimap<StreamMemory, void*> kept_;
+
+    void free_kept();  // waits for all streams
     cudaMemPool_t pool_ = nullptr;
     bool synchronize_each_stage_ = false;  // SVGF_SYNCHRONIZE=1: the stage that failed is the one named
     const char* last_stage_ = "";

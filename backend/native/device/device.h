@@ -12,8 +12,8 @@
 // the timings, the profiler's range and what an error message says.
 //
 // A stage of tiles has tile_columns() x tile_rows() tiles of threads_x x threads_y threads. For each of them
-// load(tile, column, row, i) runs for every i below loads() and fills the Tile, shared memory on a GPU; when all of it is
-// there, operator()(tile, column, row, x, y) runs for every thread.
+// load(tile, column, row, i) runs for every i below loads() and fills the Tile, shared memory on a GPU; when all of it
+// is there, operator()(tile, column, row, x, y) runs for every thread.
 #pragma once
 
 #include <memory>

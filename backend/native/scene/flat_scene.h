@@ -34,8 +34,11 @@ struct MeshView {
     const WideNode* nodes = nullptr;
     const LeafTriangle* triangles = nullptr;
     const CornerNormals* normals = nullptr;                 // null: face normals everywhere
-    const CornerUvs* uvs = nullptr;                         // null: (0, 0)
+    const CornerUvs* uvs = nullptr;                         // [uv_layers, triangle_count]
     const TrianglePositions* previous_positions = nullptr;  // null: as now
+    std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
+    std::int32_t triangle_count = 0;
+    Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
 };
 
 // What traversal and shading read of an instance, one cache line.
@@ -51,17 +54,77 @@ struct Placement {  // 96 bytes, read once per hit
     Mat34 object_to_world, previous_object_to_world;
 };
 
-// A row of FlatScene.materials, 64 bytes.
+enum class MaterialKind : std::int32_t {
+    principled, diffuse, glossy, glass, refraction, translucent, transparent, mix, add
+};
+
+SVGF_HD constexpr bool is_mix(MaterialKind kind) { return kind == MaterialKind::mix || kind == MaterialKind::add; }
+// Mixes of mixes, one within the other.
+constexpr int deepest_mix = 16;
+constexpr float smallest_ior = 1e-5f, largest_ior = 1000.0f;
+
+// A row of FlatScene.materials with its whole numbers as such, 192 bytes.
 struct alignas(16) Material {
     Vec3 base_color;
-    float base_color_texture;  // index, or < 0
+    MaterialKind kind;
     float metallic, roughness, ior, transmission;
     float specular_ior_level;
     Vec3 specular_tint;
     Vec3 emission;
+    float alpha;
+    float diffuse_roughness, anisotropic, anisotropic_rotation, normal_strength;
+    float coat_weight, coat_roughness, coat_ior, sheen_weight;
+    Vec3 coat_tint;
+    float sheen_roughness;
+    Vec3 sheen_tint;
+    float factor;
+    std::int32_t first, second;
+    float factor_fresnel_ior, factor_facing_blend;
+    Vec3 normal;                   // texel of the normal map
+    std::int32_t normal_uv_layer;  // of its tangents; -1: there is none
+    std::int32_t map_start, map_count, tangent_uv_layer;
+    float multiscatter;  // 1: with energy compensation; 0: without
+    Vec3 light_emission;
     float unused;
 };
-static_assert(sizeof(Material) == 16 * sizeof(float));
+static_assert(sizeof(Material) == 48 * sizeof(float));
+
+// The values of a material that a map can give, by their column in FlatScene.materials.
+enum class MaterialInput : std::int32_t {
+    base_color = 0,
+    metallic = 4,
+    roughness = 5,
+    ior = 6,
+    transmission = 7,
+    specular_ior_level = 8,
+    specular_tint = 9,
+    emission = 12,
+    alpha = 15,
+    diffuse_roughness = 16,
+    anisotropic = 17,
+    anisotropic_rotation = 18,
+    normal_strength = 19,
+    coat_weight = 20,
+    coat_roughness = 21,
+    coat_ior = 22,
+    sheen_weight = 23,
+    coat_tint = 24,
+    sheen_roughness = 27,
+    sheen_tint = 28,
+    factor = 31,
+    normal = 36,
+};
+
+// A row of FlatScene.material_maps with its whole numbers as such, 48 bytes.
+struct alignas(16) MaterialMap {
+    MaterialInput input;
+    std::int32_t texture;
+    std::int32_t channel;  // of a scalar; -1: RGB
+    std::int32_t uv_layer;
+    float uv_transform[6];
+    float unused[2];
+};
+static_assert(sizeof(MaterialMap) == 12 * sizeof(float));
 
 enum class LightKind : std::int32_t { point, sun, spot, rectangle, ellipse, triangle };
 
@@ -80,7 +143,7 @@ struct Light {
 };
 static_assert(sizeof(Light) == 24 * sizeof(float));
 
-enum class Interpolation : std::int32_t { closest, linear };
+enum class Interpolation : std::int32_t { closest, linear, cubic };
 enum class Extension : std::int32_t { repeat, extend, clip, mirror };
 
 struct TextureView {
@@ -90,6 +153,7 @@ struct TextureView {
     Interpolation interpolation = Interpolation::linear;
     Extension extension = Extension::repeat;
     bool srgb = false;
+    bool associated_alpha = false;  // colours are stored times alpha
 };
 
 struct SceneView {
@@ -100,7 +164,9 @@ struct SceneView {
     const MeshView* meshes = nullptr;
     const std::int32_t* material_table = nullptr;
     const Material* materials = nullptr;
+    const MaterialMap* material_maps = nullptr;
     const TextureView* textures = nullptr;
+    const float* albedo_tables = nullptr;  // of trace/microfacet.h
     const Light* lights = nullptr;     // lamps first, then triangles
     const float* light_cdf = nullptr;  // [light_count + 1]
     std::int32_t light_count = 0;

@@ -30,7 +30,8 @@ void check(const Mesh::Arrays& arrays) {
     expect(arrays.positions.size() % 3 == 0, "A mesh's positions must be [V, 3].");
     expect(arrays.triangles.size() == 3 * count, "A mesh needs one material slot for each triangle.");
     expect(arrays.normals.size() == 9 * count, "A mesh needs three normals for each triangle.");
-    expect(arrays.uvs.empty() || arrays.uvs.size() == 6 * count, "A mesh needs three UVs for each triangle, or none.");
+    expect(count == 0 ? arrays.uvs.empty() : arrays.uvs.size() % (6 * count) == 0,
+           "A mesh needs three UVs for each triangle in every layer, or none.");
     expect(arrays.previous_positions.empty() || arrays.previous_positions.size() == arrays.positions.size(),
            "A mesh's previous positions must be as many as its positions.");
     // Offsets in the tree are 32 bits, and the device's loops count in int.
@@ -91,11 +92,18 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     });
     const Bvh bvh = build_bvh(boxes, max_leaf_size);
     bounds_ = bvh.bounds;
+    if (!bounds_.is_empty()) {
+        const Vec3 middle = (bounds_.low + bounds_.high) * 0.5f, width = bounds_.high - bounds_.low;
+        const auto inverse = [](float x) { return x > 0.0f ? 1.0f / x : 0.0f; };
+        view_.box_middle = {middle.x, middle.y};
+        view_.box_scale = {inverse(width.x), inverse(width.y)};
+    }
 
     const std::size_t count = bvh.primitives.size();
     std::vector<LeafTriangle> triangles(count);
     std::vector<CornerNormals> normals(count);
-    std::vector<CornerUvs> uvs(arrays.uvs.empty() ? 0 : count);
+    const std::size_t uv_layers = arrays.uvs.size() / std::max<std::size_t>(6 * triangle_count, 1);
+    std::vector<CornerUvs> uvs(uv_layers * count);
     std::vector<TrianglePositions> previous(arrays.previous_positions.empty() ? 0 : count);
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
@@ -103,8 +111,10 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
             const auto [vertex] = positions_of(arrays, arrays.positions, t, centre_);
             triangles[i] = {vertex[0], std::int32_t(t), vertex[1], arrays.material_slots[t], vertex[2]};
             normals[i] = corner_normals(arrays, t);
-            for (int k = 0; k < 3 && !uvs.empty(); ++k)
-                uvs[i].corner[k] = {arrays.uvs[6 * t + 2 * k], arrays.uvs[6 * t + 2 * k + 1]};
+            for (std::size_t layer = 0; layer < uv_layers; ++layer) {
+                const float* uv = &arrays.uvs[6 * (layer * triangle_count + t)];
+                uvs[layer * count + i] = {{{uv[0], uv[1]}, {uv[2], uv[3]}, {uv[4], uv[5]}}};
+            }
             if (!previous.empty()) {
                 previous[i] = positions_of(arrays, arrays.previous_positions, t, centre_);
                 for (int k = 0; k < 3; ++k)
@@ -130,6 +140,8 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     if (!uvs.empty()) {
         uvs_ = Buffer<CornerUvs>(device, std::span<const CornerUvs>(uvs), "texture coordinates");
         view_.uvs = uvs_.data();
+        view_.uv_layers = std::int32_t(uv_layers);
+        view_.triangle_count = std::int32_t(count);
     }
     if (!previous.empty()) {
         previous_positions_ = Buffer<TrianglePositions>(device, std::span<const TrianglePositions>(previous),

@@ -25,7 +25,7 @@ public:
         std::span<const float> positions;         // [V, 3]
         std::span<const std::int32_t> triangles;  // [T, 3]
         std::span<const float> normals;           // [T, 3, 3]; a corner that is zero or not finite: the face normal
-        std::span<const float> uvs;               // [T, 3, 2], or empty: (0, 0)
+        std::span<const float> uvs;               // [layers, T, 3, 2], or empty: (0, 0)
         std::span<const std::int32_t> material_slots;  // [T], >= 0
         std::span<const float> previous_positions;     // [V, 3], or empty: as positions
     };

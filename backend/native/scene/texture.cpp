@@ -6,13 +6,14 @@
 namespace svgf {
 namespace {
 
-TextureView checked_view(std::size_t values, int width, int height, int interpolation, int extension) {
+TextureView checked_view(std::size_t values, int width, int height, int interpolation, int extension,
+                         bool associated_alpha) {
     if (width < 1 || height < 1) throw InputError("A texture must have at least one pixel.");
     if (values != 4 * std::size_t(width) * std::size_t(height)) throw InputError("A texture must be [H, W, 4].");
     // Texel numbers and twice the width, for mirroring, are int.
     if (std::size_t(width) * std::size_t(height) >= (std::size_t(1) << 30))
         throw InputError("A texture may have at most 2^30 pixels.");
-    if (interpolation < 0 || interpolation > int(Interpolation::linear))
+    if (interpolation < 0 || interpolation > int(Interpolation::cubic))
         throw InputError("Unknown texture interpolation.");
     if (extension < 0 || extension > int(Extension::mirror)) throw InputError("Unknown texture extension.");
     TextureView view;
@@ -20,14 +21,15 @@ TextureView checked_view(std::size_t values, int width, int height, int interpol
     view.height = height;
     view.interpolation = Interpolation(interpolation);
     view.extension = Extension(extension);
+    view.associated_alpha = associated_alpha;
     return view;
 }
 
 }  // namespace
 
 Texture::Texture(Device& device, std::span<const std::uint8_t> pixels, int width, int height, bool srgb,
-                 int interpolation, int extension)
-    : view_(checked_view(pixels.size(), width, height, interpolation, extension)) {
+                 int interpolation, int extension, bool associated_alpha)
+    : view_(checked_view(pixels.size(), width, height, interpolation, extension, associated_alpha)) {
     std::vector<std::uint32_t> texels(pixels.size() / 4);
     for (std::size_t i = 0; i < texels.size(); ++i)
         texels[i] = std::uint32_t(pixels[4 * i]) | std::uint32_t(pixels[4 * i + 1]) << 8 |
@@ -37,8 +39,9 @@ Texture::Texture(Device& device, std::span<const std::uint8_t> pixels, int width
     view_.srgb = srgb;
 }
 
-Texture::Texture(Device& device, std::span<const float> pixels, int width, int height, int interpolation, int extension)
-    : view_(checked_view(pixels.size(), width, height, interpolation, extension)) {
+Texture::Texture(Device& device, std::span<const float> pixels, int width, int height, int interpolation, int extension,
+                 bool associated_alpha)
+    : view_(checked_view(pixels.size(), width, height, interpolation, extension, associated_alpha)) {
     const auto cleaned = [](float value) { return is_finite(value) && value > 0.0f ? value : 0.0f; };
     std::vector<Vec4> texels(pixels.size() / 4);
     for (std::size_t i = 0; i < texels.size(); ++i)

@@ -15,9 +15,10 @@ public:
     // pixels: [height, width, 4]. interpolation, extension: values of the enums of these names. Throws InputError on an
     // empty image, a wrong length or an unknown enum value.
     Texture(Device& device, std::span<const std::uint8_t> pixels, int width, int height, bool srgb, int interpolation,
-            int extension);
+            int extension, bool associated_alpha);
     // Linear. Values that are negative or not finite become 0.
-    Texture(Device& device, std::span<const float> pixels, int width, int height, int interpolation, int extension);
+    Texture(Device& device, std::span<const float> pixels, int width, int height, int interpolation, int extension,
+            bool associated_alpha);
 
     const TextureView& view() const { return view_; }
 

@@ -30,6 +30,15 @@ SVGF_HD inline Vec2 pixel_point(int x, int y, const Sampler& sampler, bool box_f
     return {float(x) + offset.x, float(y) + offset.y};
 }
 
+// What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
+// neither.
+template <Effects kernel>
+SVGF_HD float surface_choice(const Sampler& sampler, int vertex) {
+    if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
+        return sampler.pair(SamplePair::surface, vertex).x;
+    return 0.0f;
+}
+
 template <Effects kernel>
 struct GbufferStage {
     // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
@@ -67,8 +76,9 @@ struct GbufferStage {
             write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
             return;
         }
-        const Surface surface = find_surface(scene, hit);
-        const Bsdf<kernel> bsdf(surface, -normalize(ray.direction));
+        const Vec3 view = -normalize(ray.direction);
+        const Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
+        const Bsdf<kernel> bsdf(scene, surface, view);
         const ImagePoint now = camera.project(surface.position);
         // What stands still moves by exactly 0, whatever two projections would round it to.
         Vec3 motion;

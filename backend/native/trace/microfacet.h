@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fresnel terms and the GGX distribution. Directions are in the local frame, the surface normal is +z.
+// Fresnel terms, the GGX distribution and the albedos of its lobes. Directions are in the local frame, the surface
+// normal is +z.
 #pragma once
 
 #include "core/sampling.h"
 #include "core/vec.h"
+#include "scene/flat_scene.h"
 
 namespace svgf {
 
@@ -20,61 +22,106 @@ SVGF_HD inline float fresnel_dielectric(float cos_incident, float eta) {
     return saturate(0.5f * perpendicular * perpendicular * (1.0f + ratio * ratio));
 }
 
-// Schlick's approximation.
-SVGF_HD inline Vec3 fresnel_metal(Vec3 base, float cos_incident) {
-    const float x = 1.0f - saturate(cos_incident);
-    return base + (Vec3{1, 1, 1} - base) * (x * x * x * x * x);
-}
-
 SVGF_HD inline float normal_reflectance(float ior) { return square((ior - 1.0f) / (ior + 1.0f)); }
 
-// Share of light that a GGX lobe with Schlick's Fresnel term reflects, as scale * f0 + offset: the rational fit of
-// [MaterialX], within 0.03 of the integral.
-struct GgxAlbedo {
-    float scale, offset;
+// A dielectric's reflectance with its range [F(1), 1] mapped to [f0, 1].
+SVGF_HD inline Vec3 fresnel_tinted(float reflectance, float eta, Vec3 f0) {
+    const float real_f0 = normal_reflectance(eta);
+    return lerp(f0, {1, 1, 1}, saturate((reflectance - real_f0) / (1.0f - real_f0)));
+}
 
-    SVGF_HD GgxAlbedo(float roughness, float cos_view) {
-        const float x = cos_view, y = roughness * roughness, x2 = x * x, y2 = y * y;
-        const float above_scale = 0.1003f - 0.6303f * x + 9.748f * y - 2.038f * x * y + 29.34f * x2 - 8.245f * y2 -
-                                  26.44f * x2 * y + 19.99f * x * y2 - 5.448f * x2 * y2;
-        const float above_offset = 0.9345f - 2.323f * x + 2.229f * y - 3.748f * x * y + 1.424f * x2 - 0.7684f * y2 +
-                                   1.436f * x2 * y + 0.2913f * x * y2 + 0.6286f * x2 * y2;
-        const float below_scale = 1.0f - 1.765f * x + 8.263f * y + 11.53f * x * y + 28.96f * x2 - 7.507f * y2 -
-                                  36.11f * x2 * y + 15.86f * x * y2 + 33.37f * x2 * y2;
-        const float below_offset = 1.0f + 0.2281f * x + 15.94f * y - 55.83f * x * y + 13.08f * x2 + 41.26f * y2 +
-                                   54.9f * x2 * y + 300.2f * x * y2 - 285.1f * x2 * y2;
-        scale = saturate(above_scale / below_scale);
-        offset = saturate(above_offset / below_offset);
+// Schlick's approximation from f0 to f90, with the dip around 82 degrees of [Kutz21].
+SVGF_HD inline Vec3 fresnel_metal(Vec3 f0, Vec3 f90, Vec3 dip, float cos_incident) {
+    const float c = saturate(cos_incident), x = 1.0f - c;
+    const float x5 = square(square(x)) * x;
+    return min(max(lerp(f0, f90, x5) - dip * (c * x5 * x), 0.0f), Vec3{1, 1, 1});
+}
+
+// Mean Fresnel reflectance of a dielectric over the hemisphere: the fit of [Kulla17].
+SVGF_HD inline float dielectric_mean(float eta) {
+    if (eta < 1.0f) return 0.997118f + eta * (0.1014f - eta * (0.965241f + eta * 0.130607f));
+    return (eta - 1.0f) / (4.08567f + 1.00071f * eta);
+}
+
+// A table of albedos: where it starts in SceneView.albedo_tables, and its entries along roughness, cosine and IOR.
+// reference/albedo.py says what they hold and how they came about.
+struct AlbedoTable {
+    int start, columns, rows, depth;
+
+    SVGF_HD constexpr int end() const { return start + columns * rows * depth; }
+};
+constexpr AlbedoTable energy_table{0, 32, 32, 1};
+constexpr AlbedoTable mean_energy_table{energy_table.end(), 32, 1, 1};
+constexpr AlbedoTable schlick_table{mean_energy_table.end(), 16, 16, 1};
+constexpr AlbedoTable dielectric_table{schlick_table.end(), 16, 16, 16};
+constexpr AlbedoTable glass_entering_table{dielectric_table.end(), 16, 16, 16};
+constexpr AlbedoTable glass_leaving_table{glass_entering_table.end(), 16, 16, 16};
+constexpr AlbedoTable mean_glass_entering_table{glass_leaving_table.end(), 16, 1, 16};
+constexpr AlbedoTable mean_glass_leaving_table{mean_glass_entering_table.end(), 16, 1, 16};
+constexpr AlbedoTable sheen_table{mean_glass_leaving_table.end(), 32, 32, 1};
+constexpr int albedo_table_size = sheen_table.end();
+
+// Trilinear.
+SVGF_HD inline SVGF_NOINLINE float look_up_albedo(const float* tables, AlbedoTable table, float roughness,
+                                                  float cosine = 0, float ior_coordinate = 0) {
+    const float x = saturate(roughness) * float(table.columns - 1), y = saturate(cosine) * float(table.rows - 1);
+    const float z = saturate(ior_coordinate) * float(table.depth - 1);
+    const int i = int(x), j = int(y), k = int(z);
+    float sum = 0;
+    for (int corner = 0; corner < 8; ++corner) {
+        const int a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
+        const float weight = (a ? x - float(i) : 1.0f - (x - float(i))) * (b ? y - float(j) : 1.0f - (y - float(j))) *
+                             (c ? z - float(k) : 1.0f - (z - float(k)));
+        if (weight > 0.0f)
+            sum += weight * tables[table.start + ((k + c) * table.rows + j + b) * table.columns + i + a];
     }
+    return sum;
+}
 
-    SVGF_HD float metal(float f0) const { return saturate(f0 * scale + offset); }
-    SVGF_HD Vec3 metal(Vec3 f0) const { return {metal(f0.x), metal(f0.y), metal(f0.z)}; }
-    // Without an interface nothing is reflected, not even at grazing angles.
-    SVGF_HD float dielectric(float f0) const { return f0 > 0.0f ? metal(f0) : 0.0f; }
+SVGF_HD inline float ior_coordinate(float ior) { return std::sqrt(std::fabs((ior - 1.0f) / (ior + 1.0f))); }
+
+// Light that a lobe loses between microfacets, of which `mean` (its mean Fresnel reflectance) comes back [Kulla17]: the
+// factor on the lobe.
+SVGF_HD inline float given_back(float energy, float mean_energy, float mean) {
+    return 1.0f + mean * mean_energy / (1.0f - mean * (1.0f - mean_energy)) * (1.0f - energy) / energy;
+}
+SVGF_HD inline Vec3 given_back(float energy, float mean_energy, Vec3 mean) {
+    return {given_back(energy, mean_energy, mean.x), given_back(energy, mean_energy, mean.y),
+            given_back(energy, mean_energy, mean.z)};
+}
+
+// GGX alpha along x and y.
+struct Alpha {
+    float x = 1, y = 1;
+
+    SVGF_HD bool is_smooth() const { return max(x, y) < smooth_alpha; }
+    // Below it a lobe is a mirror.
+    static constexpr float smooth_alpha = 1e-3f;
 };
 
-// Distribution of microfacet normals [Walter07, Eq. 33]. The sine comes from the tangential part of the half vector: as
+// Distribution of microfacet normals [Heitz14, Eq. 85]. The sine comes from the tangential part of the half vector: as
 // 1 - cosine^2 it would lose all its digits where alpha is small.
-SVGF_HD inline float ggx_density(Vec3 half, float alpha) {
+SVGF_HD inline float ggx_density(Vec3 half, Alpha alpha) {
     if (!(half.z > 0.0f)) return 0.0f;
-    const float a2 = alpha * alpha;
-    return a2 / (pi * square(half.x * half.x + half.y * half.y + a2 * half.z * half.z));
+    const float product = alpha.x * alpha.y;
+    const float x = half.x * alpha.y, y = half.y * alpha.x, z = half.z * product;
+    return product * square(product) / (pi * square(x * x + y * y + z * z));
 }
 
 // 1 + 2 Lambda of Smith's masking [Heitz14, Eq. 72].
-SVGF_HD inline float ggx_masking(float cosine, float alpha) {
-    const float c2 = max(cosine * cosine, 1e-30f);
-    return std::sqrt(1.0f + alpha * alpha * max(0.0f, 1.0f - c2) / c2);
+SVGF_HD inline float ggx_masking(Vec3 direction, Alpha alpha) {
+    const float slope = square(alpha.x * direction.x) + square(alpha.y * direction.y);
+    return std::sqrt(1.0f + slope / max(direction.z * direction.z, 1e-30f));
 }
 
 // Visible microfacet normal by spherical caps [Dupuy23, Listing 1].
-SVGF_HD inline Vec3 sample_visible_normal(Vec3 view, float alpha, Vec2 u) {
-    const Vec3 standard = normalize(Vec3{alpha * view.x, alpha * view.y, view.z});
+SVGF_HD inline Vec3 sample_visible_normal(Vec3 view, Alpha alpha, Vec2 u) {
+    const Vec3 standard = normalize(Vec3{alpha.x * view.x, alpha.y * view.y, view.z});
     const float angle = 2.0f * pi * u.x;
     const float z = (1.0f - u.y) * (1.0f + standard.z) - standard.z;
     const float sine = std::sqrt(saturate(1.0f - z * z));
     const Vec3 half = Vec3{sine * std::cos(angle), sine * std::sin(angle), z} + standard;
-    return normalize(Vec3{alpha * half.x, alpha * half.y, max(half.z, 0.0f)});
+    return normalize(Vec3{alpha.x * half.x, alpha.y * half.y, max(half.z, 0.0f)});
 }
 
 SVGF_HD inline Vec3 reflect(Vec3 view, Vec3 half) { return half * (2.0f * dot(view, half)) - view; }

@@ -79,8 +79,9 @@ private:
                     add(light, path.throughput * scene.world_radiance, path.diffuse_share, vertex);
                 return;
             }
-            const Surface surface = find_surface(scene, hit);
-            if (max_component(surface.material.emission) > 0.0f) add_emission(path, surface, ray, hit, vertex, light);
+            const Surface surface = find_surface<kernel>(scene, hit, -ray.direction,
+                                                         surface_choice<kernel>(sampler, vertex));
+            if (max_component(surface.emission) > 0.0f) add_emission(path, surface, ray, hit, vertex, light);
             if (vertex == bounces + 1) return;  // the last ray only looks for light
 
             const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
@@ -89,7 +90,7 @@ private:
                 if (!(lobe_and_roulette.y < survival)) return;
                 path.throughput = path.throughput / survival;
             }
-            const Bsdf<kernel> bsdf(surface, -ray.direction);
+            const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
             if (scene.light_count > 0) add_direct_light(sampler, path, surface, bsdf, vertex, light);
 
             const BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
@@ -138,12 +139,12 @@ private:
 
     SVGF_HD void add_emission(const Path& path, const Surface& surface, const Ray& ray, const Hit& hit, int vertex,
                               Gathered& light) const {
-        const Vec3 emission = surface.material.emission;
+        const Vec3 emission = surface.emission;
         if (vertex == 0) {
             light.emission = emission;
             return;
         }
-        const float pdf = triangle_density(scene, emission, hit.t, dot(surface.geometric_normal, ray.direction));
+        const float pdf = triangle_density(scene, scene.materials[surface.material_index].light_emission, hit.t, dot(surface.geometric_normal, ray.direction));
         add(light, path.throughput * emission * hit_weight(path, pdf), path.diffuse_share, vertex);
     }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image lookups as Cycles does them: 8-bit sRGB texels are interpolated first and decoded after.
+// Image lookups as Cycles does them: texels are interpolated as they are stored; then colours are divided by alpha where
+// they are stored times it, and decoded where they are sRGB.
 #pragma once
 
 #include "core/vec.h"
@@ -11,21 +12,15 @@ SVGF_HD inline float srgb_to_linear(float c) {  // IEC 61966-2-1
     return c <= 0.04045f ? c / 12.92f : std::pow((c + 0.055f) / 1.055f, 2.4f);
 }
 
-// Texel index within [0, size) for one that is less than a period outside, or -1 for one that the image does not cover.
+// Texel index within [0, size) for one near to it, or -1 for one that the image does not cover.
 SVGF_HD inline int wrap_texel(int i, int size, Extension extension) {
-    switch (extension) {
-        case Extension::repeat:
-            return i < 0 ? i + size : i >= size ? i - size : i;
-        case Extension::mirror:
-            i = i < 0 ? -1 - i : i;
-            i = i >= 2 * size ? i - 2 * size : i;
-            return i < size ? i : 2 * size - 1 - i;
-        case Extension::extend:
-            return clamp(i, 0, size - 1);
-        case Extension::clip:
-            break;
-    }
-    return i >= 0 && i < size ? i : -1;
+    if (extension == Extension::extend) return clamp(i, 0, size - 1);
+    if (extension == Extension::clip) return i >= 0 && i < size ? i : -1;
+    // Once at most, but for images of one or two texels.
+    const int period = extension == Extension::mirror ? 2 * size : size;
+    while (i < 0) i += period;
+    while (i >= period) i -= period;
+    return i < size ? i : period - 1 - i;
 }
 
 // A coordinate in a unit square brought near to it, where the extension repeats: texel numbers then fit an int, and
@@ -34,35 +29,59 @@ SVGF_HD inline float reduce_coordinate(float u, Extension extension) {
     if (!is_finite(u)) return 0.0f;
     if (extension == Extension::repeat) return u - std::floor(u);
     if (extension == Extension::mirror) return u - 2.0f * std::floor(u * 0.5f);
-    return clamp(u, -1.0f, 2.0f);
+    return clamp(u, -2.0f, 3.0f);
 }
 
-SVGF_HD inline Vec3 load_texel(const TextureView& texture, int x, int y) {
+// RGBA as stored; 0 where the image does not cover it.
+SVGF_HD inline Vec4 load_texel(const TextureView& texture, int x, int y) {
     x = wrap_texel(x, texture.width, texture.extension);
     y = wrap_texel(y, texture.height, texture.extension);
     if (x < 0 || y < 0) return {};
     const int i = y * texture.width + x;
-    if (!texture.bytes) return texture.floats[i].xyz();
+    if (!texture.bytes) return texture.floats[i];
     const std::uint32_t texel = texture.bytes[i];
-    return Vec3{float(texel & 0xffu), float((texel >> 8) & 0xffu), float((texel >> 16) & 0xffu)} * (1.0f / 255.0f);
+    return Vec4{float(texel & 0xffu), float((texel >> 8) & 0xffu), float((texel >> 16) & 0xffu), float(texel >> 24)} *
+           (1.0f / 255.0f);
 }
 
-// Linear colour at uv, (0, 0) being the image's bottom left corner.
-SVGF_HD inline Vec3 sample_texture(const TextureView& texture, Vec2 uv) {
-    const float x = reduce_coordinate(uv.x, texture.extension) * float(texture.width);
-    const float y = reduce_coordinate(uv.y, texture.extension) * float(texture.height);
-    Vec3 color;
-    if (texture.interpolation == Interpolation::closest) {
-        color = load_texel(texture, int(std::floor(x)), int(std::floor(y)));
-    } else {
-        const float left = std::floor(x - 0.5f), below = std::floor(y - 0.5f);
-        const float right_share = x - 0.5f - left, upper_share = y - 0.5f - below;
-        const int i = int(left), j = int(below);
-        const Vec3 lower = lerp(load_texel(texture, i, j), load_texel(texture, i + 1, j), right_share);
-        const Vec3 upper = lerp(load_texel(texture, i, j + 1), load_texel(texture, i + 1, j + 1), right_share);
-        color = lerp(lower, upper, upper_share);
+// Weight of texel `index`, 0 being the last one with its centre before the point, and share the part of the way from
+// there to the next that the point has gone.
+SVGF_HD inline float texel_weight(Interpolation interpolation, float share, int index) {
+    if (interpolation == Interpolation::closest) return (share >= 0.5f) == (index == 1) ? 1.0f : 0.0f;
+    const float distance = std::fabs(share - float(index));
+    if (interpolation == Interpolation::linear) return 1.0f - distance;
+    // Cubic B-spline.
+    if (distance < 1.0f) return 2.0f / 3.0f - distance * distance * (1.0f - 0.5f * distance);
+    const float rest = 2.0f - distance;
+    return rest * rest * rest / 6.0f;
+}
+
+// RGBA, linear, at uv, (0, 0) being the image's bottom left corner. Two by two texels at once, four times for cubic.
+SVGF_HD inline Vec4 sample_texture(const TextureView& texture, Vec2 uv) {
+    const float x = reduce_coordinate(uv.x, texture.extension) * float(texture.width) - 0.5f;
+    const float y = reduce_coordinate(uv.y, texture.extension) * float(texture.height) - 0.5f;
+    const float left = std::floor(x), below = std::floor(y);
+    const float x_share = x - left, y_share = y - below;
+    const bool is_cubic = texture.interpolation == Interpolation::cubic;
+    Vec4 sum;
+    SVGF_NO_UNROLL
+    for (int quad = 0; quad < (is_cubic ? 4 : 1); ++quad) {
+        const int i = is_cubic ? 2 * (quad & 1) - 1 : 0, j = is_cubic ? 2 * (quad >> 1) - 1 : 0;
+        const float west = texel_weight(texture.interpolation, x_share, i);
+        const float east = texel_weight(texture.interpolation, x_share, i + 1);
+        for (int row = 0; row < 2; ++row) {
+            const int column = int(left) + i, line = int(below) + j + row;
+            const float weight = texel_weight(texture.interpolation, y_share, j + row);
+            sum += load_texel(texture, column, line) * (west * weight);
+            sum += load_texel(texture, column + 1, line) * (east * weight);
+        }
     }
-    return texture.srgb ? Vec3{srgb_to_linear(color.x), srgb_to_linear(color.y), srgb_to_linear(color.z)} : color;
+    if (texture.associated_alpha && sum.w > 0.0f) {
+        const float scale = 1.0f / sum.w;
+        sum = {sum.x * scale, sum.y * scale, sum.z * scale, sum.w};
+    }
+    if (texture.srgb) sum = {srgb_to_linear(sum.x), srgb_to_linear(sum.y), srgb_to_linear(sum.z), sum.w};
+    return sum;
 }
 
 }  // namespace svgf

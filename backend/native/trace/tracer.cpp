@@ -94,26 +94,82 @@ Vec3 cleaned_color(Vec3 c) {
     return {cleaned(c.x), cleaned(c.y), cleaned(c.z)};
 }
 
+// A row of floats of which some are whole numbers.
+Material material_from(const float* row) {
+    Material material;
+    std::memcpy(static_cast<void*>(&material), row, sizeof(Material));
+    material.kind = MaterialKind(row[3]);
+    material.first = std::int32_t(row[32]);
+    material.second = std::int32_t(row[33]);
+    material.normal_uv_layer = std::int32_t(row[39]);
+    material.map_start = std::int32_t(row[40]);
+    material.map_count = std::int32_t(row[41]);
+    material.tangent_uv_layer = std::int32_t(row[42]);
+    return material;
+}
+
+MaterialMap material_map_from(const float* row) {
+    MaterialMap map;
+    std::memcpy(static_cast<void*>(&map), row, sizeof(MaterialMap));
+    map.input = MaterialInput(row[0]);
+    map.texture = std::int32_t(row[1]);
+    map.channel = std::int32_t(row[2]);
+    map.uv_layer = std::int32_t(row[3]);
+    return map;
+}
+
 // What is out of range, or not a number, goes to the nearest value that shading can work with.
 Material cleaned_material(Material material) {
-    const auto share = [](float x) { return is_finite(x) ? saturate(x) : 0.0f; };
-    material.base_color = min(cleaned_color(material.base_color), Vec3{1, 1, 1});
-    material.specular_tint = cleaned_color(material.specular_tint);
+    for (Vec3* color : {&material.base_color, &material.specular_tint, &material.coat_tint, &material.sheen_tint})
+        *color = min(cleaned_color(*color), Vec3{1, 1, 1});
+    for (float* share : {&material.metallic, &material.roughness, &material.transmission, &material.alpha,
+                         &material.diffuse_roughness, &material.anisotropic_rotation, &material.coat_weight,
+                         &material.coat_roughness, &material.sheen_weight, &material.sheen_roughness, &material.factor})
+        *share = is_finite(*share) ? saturate(*share) : 0.0f;
+    for (float* ior : {&material.ior, &material.coat_ior})
+        *ior = is_finite(*ior) ? clamp(*ior, smallest_ior, largest_ior) : 1.0f;
+    for (float* level : {&material.specular_ior_level, &material.normal_strength, &material.factor_fresnel_ior})
+        *level = is_finite(*level) ? max(*level, 0.0f) : 0.0f;
+    material.anisotropic = is_finite(material.anisotropic) ? clamp(material.anisotropic, -1.0f, 1.0f) : 0.0f;
+    if (!is_finite(material.factor_facing_blend)) material.factor_facing_blend = -1.0f;
     material.emission = cleaned_color(material.emission);
-    material.metallic = share(material.metallic);
-    material.roughness = share(material.roughness);
-    material.transmission = share(material.transmission);
-    material.specular_ior_level = is_finite(material.specular_ior_level) ? max(material.specular_ior_level, 0.0f)
-                                                                         : 0.0f;
-    material.ior = is_finite(material.ior) ? clamp(material.ior, 1.0f, 1000.0f) : 1.0f;
+    material.light_emission = cleaned_color(material.light_emission);
     return material;
+}
+
+// That what a material names is there, and that mixes end.
+void check_materials(std::span<const Material> materials, std::size_t map_count) {
+    std::vector<int> depths(materials.size(), 0);
+    for (const Material& material : materials) {
+        expect(material.kind >= MaterialKind::principled && material.kind <= MaterialKind::add,
+               "Unknown kind of material.");
+        expect(material.map_start >= 0 && material.map_count >= 0 &&
+                   std::size_t(material.map_start) + std::size_t(material.map_count) <= map_count,
+               "A material names maps that are not there.");
+        expect(!is_mix(material.kind) || (material.first >= 0 && material.second >= 0 &&
+                                          std::size_t(material.first) < materials.size() &&
+                                          std::size_t(material.second) < materials.size()),
+               "A material mixes one that is not there.");
+    }
+    for (int round = 0; round <= deepest_mix; ++round) {
+        bool changed = false;
+        for (std::size_t i = 0; i < materials.size(); ++i) {
+            if (!is_mix(materials[i].kind)) continue;
+            const int depth = 1 + std::max(depths[std::size_t(materials[i].first)],
+                                           depths[std::size_t(materials[i].second)]);
+            changed |= depth != depths[i];
+            depths[i] = depth;
+        }
+        if (!changed) return;
+    }
+    throw InputError("A material mixes itself, or mixes are too deep.");
 }
 
 }  // namespace
 
 Tracer::Tracer(Device& device) : device_(device) {
     set_instances({}, {});
-    set_materials({}, {});
+    set_materials({}, {}, {});
     set_lights({});
 }
 
@@ -170,20 +226,34 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     scene_.material_table = material_table_.data();
 }
 
-void Tracer::set_materials(std::span<const float> materials, std::vector<std::shared_ptr<Texture>> textures) {
-    expect(materials.size() % 16 == 0, "Materials must be [M, 16].");
-    std::vector<Material> rows = rows_of<Material>(materials);
-    for (Material& row : rows) {
-        row = cleaned_material(row);
-        expect(row.base_color_texture < float(textures.size()), "A material names a texture that is not there.");
+void Tracer::set_materials(std::span<const float> materials, std::span<const float> material_maps,
+                           std::vector<std::shared_ptr<Texture>> textures) {
+    expect(materials.size() % 48 == 0, "Materials must be [M, 48].");
+    expect(material_maps.size() % 12 == 0, "Maps of materials must be [K, 12].");
+    std::vector<Material> rows;
+    for (std::size_t i = 0; i < materials.size(); i += 48) rows.push_back(cleaned_material(material_from(&materials[i])));
+    std::vector<MaterialMap> maps;
+    for (std::size_t i = 0; i < material_maps.size(); i += 12) {
+        maps.push_back(material_map_from(&material_maps[i]));
+        expect(maps.back().texture >= 0 && std::size_t(maps.back().texture) < textures.size(),
+               "A material names a texture that is not there.");
     }
+    check_materials(rows, maps.size());
     std::vector<TextureView> views;
     for (const auto& texture : textures) views.push_back(texture->view());
     textures_ = std::move(textures);
     materials_ = Buffer<Material>(device_, std::span<const Material>(rows), "materials");
     texture_views_ = Buffer<TextureView>(device_, std::span<const TextureView>(views), "textures");
+    material_maps_ = Buffer<MaterialMap>(device_, std::span<const MaterialMap>(maps), "materials");
     scene_.materials = materials_.data();
+    scene_.material_maps = material_maps_.data();
     scene_.textures = texture_views_.data();
+}
+
+void Tracer::set_albedo_tables(std::span<const float> tables) {
+    expect(tables.size() == std::size_t(albedo_table_size), "The tables of albedos have another size.");
+    albedo_tables_ = Buffer<float>(device_, tables, "tables of albedos");
+    scene_.albedo_tables = albedo_tables_.data();
 }
 
 void Tracer::set_lights(const Lights& arrays) {
@@ -235,6 +305,7 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.samples >= 1 && frame.bounces >= 0, "There must be at least one sample, and no negative bounces.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
+    expect(scene_.albedo_tables, "There are no tables of albedos yet.");
     return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 

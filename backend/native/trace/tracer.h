@@ -76,7 +76,10 @@ public:
     explicit Tracer(Device& device);
 
     void set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Instances& arrays);
-    void set_materials(std::span<const float> materials, std::vector<std::shared_ptr<Texture>> textures);  // [M, 16]
+    // [M, 48] and [K, 12]
+    void set_materials(std::span<const float> materials, std::span<const float> material_maps,
+                       std::vector<std::shared_ptr<Texture>> textures);
+    void set_albedo_tables(std::span<const float> tables);  // of trace/microfacet.h
     void set_lights(const Lights& arrays);
     void set_camera(const Cameras& arrays);
 
@@ -100,7 +103,9 @@ private:
     Buffer<MeshView> mesh_views_;
     Buffer<std::int32_t> material_table_;
     Buffer<Material> materials_;
+    Buffer<MaterialMap> material_maps_;
     Buffer<TextureView> texture_views_;
+    Buffer<float> albedo_tables_;
     Buffer<Light> lights_;
     Buffer<float> light_cdf_;
     int largest_material_ = -1;  // that the table names

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the denoiser costs: milliseconds, bytes and achieved bandwidth per stage, beside what a plain copy reaches.
 
-The inputs are made up: a floor that recedes, boxes in front of it, sky; half a pixel of motion; 1-spp noise. They lie on the
-device already, so that times are the denoiser's alone. Bytes are those that a stage cannot do without: every image that it
-reads or writes, once. Dividing them by the stage's time gives a bandwidth that no stage can push above the copy's, unless
-the images fit into the cache.
+The inputs are made up: a floor that recedes, boxes in front of it, sky; half a pixel of motion; 1-spp noise. They lie on
+the device already, so that times are the denoiser's alone. Bytes are those that a stage cannot do without: every image
+that it reads or writes, once. Dividing them by the stage's time gives a bandwidth that no stage can push above the
+copy's, unless the images fit into the cache.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ ALL = "denoise, all"
 
 @dataclass(frozen=True)
 class StageCost:
-    """One stage at one size. milliseconds: median over the frames. bytes: moved at least. bandwidth: bytes over time, in
-    GB/s. floor_milliseconds: what a copy of as many bytes takes on this device."""
+    """One stage at one size. milliseconds: median over the frames. bytes: moved at least. bandwidth: bytes over time,
+    in GB/s. floor_milliseconds: what a copy of as many bytes takes on this device."""
 
     method: str
     width: int
@@ -97,8 +97,8 @@ def measure(
 ) -> tuple[list[StageCost], list[BufferSize]]:
     """Denoises warm_up + frames frames and returns the stages in order, then their sum; and the denoiser's memory.
 
-    step: called after each frame. Raises InputError where there is nothing to measure, and for the reference, whose stages
-    say nothing about bytes.
+    step: called after each frame. Raises InputError where there is nothing to measure, and for the reference, whose
+    stages say nothing about bytes.
     """
     if device.name == "reference" or frames < 1 or warm_up < 0 or signals not in (1, 2):
         raise InputError(

@@ -19,6 +19,7 @@ from ..errors import InputError
 from .options import DeviceOption, JsonOption, parse_size
 
 if TYPE_CHECKING:
+    from ..bench.ablation import Ablation
     from ..bench.accuracy import Accuracy
     from ..bench.denoise import BufferSize, StageCost
     from ..bench.stages import StageTime
@@ -190,6 +191,67 @@ def denoise(
         _print_denoise(costs, buffers, title)
 
 
+@app.command()
+def ablation(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "480x270",
+    device: DeviceOption = "auto",
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", metavar="NAME", help="May be given again. Default: all.", show_default=False),
+    ] = None,
+    frames: Annotated[str, typer.Option("--frames", metavar="A-B", help="Consecutive frames to render.")] = "1-16",
+    first: Annotated[int, typer.Option(metavar="N", help="The first frame that is measured.")] = 5,
+    reference_spp: Annotated[int, typer.Option(metavar="N", min=1, help="Samples per pixel of the truth.")] = 1024,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw what each step gives as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
+    from ..bench.ablation import STEPS, Ablation, measure, plot, rows_of
+    from ..bench.accuracy import converge
+    from ..devices import open_device
+    from ..frame_range import parse_frames
+    from ..io.files import replacing
+    from ..settings import Settings, check_name
+    from .progress import progress_bar, render_frame
+    from .sources import open_scenes
+
+    paths = _paths(files)
+    image_size = parse_size(size)
+    chosen = methods or list(STEPS)
+    for method in chosen:
+        check_name("The method", method, tuple(STEPS))
+    settings = Settings(*image_size)
+    opened = open_device(device)
+    rows: list[Ablation] = []
+    for path in paths:
+        with open_scenes(path, parse_frames(frames), image_size) as source:
+            scenes = list(source)
+        measured = [scene for scene in scenes if scene.frame >= first]
+        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
+            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
+        with progress_bar(f"{path.stem}: steps", len(scenes) * len(rows_of(chosen))) as bar:
+            rows += measure(opened, settings, path.stem, scenes, references, chosen, render_frame, bar.step)
+    title = f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(rows).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot(rows, title))
+    if as_json:
+        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
+    else:
+        _print_ablation(rows, title)
+
+
 def _paths(files: list[Path] | None) -> list[Path]:
     from .sources import shipped_scenes
 
@@ -219,7 +281,7 @@ def _timed(scenes: Iterator[Scene], most: int) -> Iterator[tuple[Scene, float]]:
         yield scene, (time.perf_counter() - start) * 1e3
 
 
-def _csv(rows: Sequence[StageTime] | Sequence[Accuracy] | Sequence[StageCost]) -> str:
+def _csv(rows: Sequence[StageTime] | Sequence[Accuracy] | Sequence[StageCost] | Sequence[Ablation]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
     writer.writeheader()
@@ -272,13 +334,33 @@ def _print_accuracy(rows: list[Accuracy], title: str) -> None:
     console.print(table)
 
 
+def _print_ablation(rows: list[Ablation], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("scene", "method", "without")
+    for heading in ("relMSE", "FLIP", "flicker", "ms"):
+        table.add_column(heading, justify="right")
+    last = rows[0]
+    for row in rows:
+        if (row.scene, row.method) != (last.scene, last.method):
+            table.add_section()
+            last = row
+        figures = (f"{value:.4f}" for value in (row.relmse, row.flip, row.flicker, row.milliseconds))
+        table.add_row(row.scene, row.method, row.off if row.off != "whole" else "-", *figures)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+
+
 def _print_denoise(costs: list[StageCost], buffers: list[BufferSize], title: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from ..bench.denoise import ALL
 
-    table = Table("method", "size", "signals", "stage")
+    table = Table("method", "size", "signals")
+    table.add_column("stage", no_wrap=True)
     for heading in ("ms", "B/pixel", "GB/s", "copy, ms"):
         table.add_column(heading, justify="right")
     for cost in costs:

@@ -155,7 +155,7 @@ def _reason(scene: Scene, effect: Effects) -> str:
     deforming = [mesh.name for mesh in scene.meshes if mesh.previous_positions is not None]
     match effect:
         case Effects.TEXTURES:
-            return _names("material", [material.name for material in materials if material.base_color_texture >= 0])
+            return _names("material", [material.name for material in materials if material.maps])
         case Effects.TRANSMISSION:
             return _names("material", [material.name for material in materials if material.transmission > 0.0])
         case Effects.MESH_LIGHTS:

@@ -17,10 +17,16 @@ NO_MOTION = 1e6
 
 
 def trace_gbuffer(
-    scene: SceneView, camera: Camera, previous_camera: Camera, point: np.ndarray, direction: np.ndarray, hits: Hits
+    scene: SceneView,
+    camera: Camera,
+    previous_camera: Camera,
+    point: np.ndarray,
+    direction: np.ndarray,
+    hits: Hits,
+    choice: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """point: [n, 2] image points, direction: [n, 3] of planar depth 1, hits: of these rays. Returns images as rows of
-    pixels."""
+    """point: [n, 2] image points, direction: [n, 3] of planar depth 1, hits: of these rays, choice: [n], see surface_at.
+    Returns images as rows of pixels."""
     count = len(point)
     images = {
         "normal": np.zeros((count, 3)),
@@ -34,8 +40,9 @@ def trace_gbuffer(
         "motion": np.zeros((count, 3)),
     }
     found = np.flatnonzero(hits.found)
-    surface = surface_at(scene, hits, found)
-    bsdf = surface.bsdf(-normalize(direction[found]))
+    view = -normalize(direction[found])
+    surface = surface_at(scene, hits, found, view, choice[found])
+    bsdf = surface.bsdf(view)
     depth = camera.depth(surface.position)
     images["normal"][found] = bsdf.normal
     images["depth"][found] = depth

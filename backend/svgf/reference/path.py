@@ -13,7 +13,15 @@ import numpy as np
 
 from .bsdf import Bsdf, evaluate, sample
 from .intersect import SHADOW_END, Hits, offset_origin
-from .sampling import direction_pair, light_choice_pair, light_point_pair, lobe_pair, power_heuristic, random_pair
+from .sampling import (
+    direction_pair,
+    light_choice_pair,
+    light_point_pair,
+    lobe_pair,
+    power_heuristic,
+    random_pair,
+    surface_pair,
+)
 from .surface import SceneView, Surface, surface_at
 from .vec import normalize
 
@@ -93,7 +101,8 @@ def trace_paths(
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
             return
-        surface = surface_at(scene, hits, found)
+        choice = random_pair(keys[paths.pixel], surface_pair(vertex), sample_number)[:, 0]
+        surface = surface_at(scene, hits, found, -paths.direction, choice)
         _add_emission(scene, signals, paths, surface, t, vertex)
         if vertex == bounces + 1:
             return
@@ -157,7 +166,7 @@ def _add_emission(
         signals.add_emission(paths.pixel, surface.emission)
         return
     cosine = np.einsum("ni,ni->n", surface.geometric_normal, paths.direction)
-    pdf = scene.lights.triangle_pdf(surface.emission, t, cosine)
+    pdf = scene.lights.triangle_pdf(surface.light_emission, t, cosine)
     value = paths.throughput * surface.emission * _hit_weight(paths, pdf)
     signals.add(paths.pixel, value, paths.share, edges=vertex)
 

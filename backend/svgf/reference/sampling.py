@@ -35,6 +35,11 @@ def light_choice_pair(vertex: int) -> int:
     return 4 + PAIRS_PER_VERTEX * vertex
 
 
+def surface_pair(vertex: int) -> int:
+    """Part of a mix, and whether the ray passes straight; the second number is not used. Far from all others."""
+    return (1 << 16) + PAIRS_PER_VERTEX * vertex
+
+
 def _uint32(x) -> np.ndarray:
     return np.atleast_1d(np.asarray(x)).astype(np.uint32)
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image textures, read as Cycles reads them: uint8 texels are interpolated first and decoded after."""
+"""Image textures, read as Cycles reads them: texels are interpolated as they are stored, then divided by alpha where
+they are stored times it, then decoded."""
 
 from __future__ import annotations
 
@@ -9,42 +10,54 @@ from ..scene import Extension, Interpolation
 
 
 class Texture:
-    """pixels: uint8 or float32 [H, W, 4], row 0 at the bottom. interpolation, extension: see svgf.scene."""
+    """pixels: uint8 or float32 [H, W, 4], row 0 at the bottom. The rest: see svgf.scene.Texture."""
 
-    def __init__(self, device, pixels: np.ndarray, srgb: bool, interpolation: int, extension: int) -> None:
+    def __init__(
+        self, device, pixels: np.ndarray, srgb: bool, interpolation: int, extension: int, associated_alpha: bool
+    ) -> None:
         pixels = np.asarray(pixels)
         scale = 255.0 if pixels.dtype == np.uint8 else 1.0
-        self._texels = pixels[..., :3].astype(np.float64) / scale
+        texels = pixels.astype(np.float64) / scale
+        self._texels = np.where(np.isfinite(texels), np.maximum(texels, 0.0), 0.0)
         self._srgb = bool(srgb)
         self._interpolation = Interpolation(interpolation)
         self._extension = Extension(extension)
+        self._associated_alpha = bool(associated_alpha)
 
     def lookup(self, uv: np.ndarray) -> np.ndarray:
-        """Linear colour [n, 3] at uv [n, 2], (0, 0) being the bottom left corner of the image."""
+        """Linear RGBA [n, 4] at uv [n, 2], (0, 0) being the bottom left corner of the image."""
         height, width = self._texels.shape[:2]
         uv = np.where(np.isfinite(uv), uv, 0.0)
         x, y = uv[:, 0] * width, uv[:, 1] * height
         if self._interpolation == Interpolation.CLOSEST:
-            color = self._texel(np.floor(x), np.floor(y))
+            value = self._texel(np.floor(x), np.floor(y))
         else:
-            x, y = x - 0.5, y - 0.5
-            left, below = np.floor(x), np.floor(y)
-            right_share, top_share = (x - left)[:, None], (y - below)[:, None]
-            bottom = self._texel(left, below) * (1.0 - right_share) + self._texel(left + 1.0, below) * right_share
-            top = (
-                self._texel(left, below + 1.0) * (1.0 - right_share)
-                + self._texel(left + 1.0, below + 1.0) * right_share
-            )
-            color = bottom * (1.0 - top_share) + top * top_share
-        return srgb_to_linear(color) if self._srgb else color
+            reach = 2 if self._interpolation == Interpolation.CUBIC else 1
+            value = np.zeros((len(uv), 4))
+            for row in range(1 - reach, 1 + reach):
+                for column in range(1 - reach, 1 + reach):
+                    i, j = np.floor(x - 0.5) + column, np.floor(y - 0.5) + row
+                    weight = self._kernel(x - (i + 0.5)) * self._kernel(y - (j + 0.5))
+                    value += weight[:, None] * self._texel(i, j)
+        color, alpha = value[:, :3], value[:, 3:]
+        if self._associated_alpha:
+            color = np.where(alpha > 0.0, color / np.where(alpha > 0.0, alpha, 1.0), color)
+        return np.concatenate([srgb_to_linear(color) if self._srgb else color, alpha], axis=1)
+
+    def _kernel(self, distance: np.ndarray) -> np.ndarray:
+        """Tent, or cubic B-spline."""
+        x = np.abs(distance)
+        if self._interpolation == Interpolation.LINEAR:
+            return np.maximum(1.0 - x, 0.0)
+        return np.where(x < 1.0, (4.0 - 6.0 * x**2 + 3.0 * x**3) / 6.0, np.maximum(2.0 - x, 0.0) ** 3 / 6.0)
 
     def _texel(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
         height, width = self._texels.shape[:2]
-        color = self._texels[_wrap(row, height, self._extension), _wrap(column, width, self._extension)]
+        value = self._texels[_wrap(row, height, self._extension), _wrap(column, width, self._extension)]
         if self._extension == Extension.CLIP:
             inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            color = np.where(inside[:, None], color, 0.0)
-        return color
+            value = np.where(inside[:, None], value, 0.0)
+        return value
 
 
 def _wrap(index: np.ndarray, size: int, extension: Extension) -> np.ndarray:

@@ -12,7 +12,7 @@ from .gbuffer import trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import PIXEL_PAIR, pixel_keys, random_pair
+from .sampling import PIXEL_PAIR, pixel_keys, random_pair, surface_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -23,7 +23,8 @@ class Tracer:
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
         self._shapes = Shapes([], *(np.zeros(0) for _ in range(7)))
-        self._materials = np.zeros((0, 16))
+        self._materials = np.zeros((0, 48))
+        self._material_maps = np.zeros((0, 12))
         self._textures: list[Texture] = []
         self._lights = Lights([], [], [], [0.0], 0.0, np.zeros(3))
         self._camera_rows: tuple[np.ndarray, ...] = ()
@@ -50,9 +51,13 @@ class Tracer:
             material_table,
         )
 
-    def set_materials(self, materials, textures: list[Texture]) -> None:
-        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 16)
+    def set_materials(self, materials, material_maps, textures: list[Texture]) -> None:
+        self._materials = np.asarray(materials, dtype=np.float64).reshape(-1, 48)
+        self._material_maps = np.asarray(material_maps, dtype=np.float64).reshape(-1, 12)
         self._textures = list(textures)
+
+    def set_albedo_tables(self, tables) -> None:
+        """They are those of svgf.albedo in any case."""
 
     def set_lights(
         self, light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
@@ -87,7 +92,7 @@ class Tracer:
         camera_to_world, previous_camera_to_world, window, previous_window, clip = self._camera_rows
         camera = Camera(camera_to_world, window, width, height)
         previous_camera = Camera(previous_camera_to_world, previous_window, width, height)
-        scene = SceneView(self._shapes, self._materials, self._textures, self._lights)
+        scene = SceneView(self._shapes, self._materials, self._material_maps, self._textures, self._lights)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
         radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR))
@@ -99,7 +104,8 @@ class Tracer:
                 direction = camera.direction(point)
                 hits = self._primary_hits(camera, direction, clip)
                 if not images:
-                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits)
+                    choice = random_pair(keys, surface_pair(0), number)[:, 0]
+                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits, choice)
             with self._device.stage("path"):
                 trace_paths(scene, radiance, keys, number, bounces, direction, hits)
         images.update({name: image / samples for name, image in radiance.images.items()})
