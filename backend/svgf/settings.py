@@ -71,8 +71,12 @@ class DenoiseSettings:
         "svgf+: longest history where something moves; what stands still has no limit. 1: no history.", unit="frames",
     )  # fmt: skip
     history_clamp: float = _setting(
-        1.0, 0.0, 1e6,
+        2.0, 0.0, 1e6,
         "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.",
+        unit="standard deviations",
+    )  # fmt: skip
+    specular_history_clamp: float = _setting(
+        0.33, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
     firefly_limit: float = _setting(
@@ -134,7 +138,7 @@ class Settings:
 
     width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
     only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
-    method: "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
+    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
     filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
     None: the scene's. denoise: DenoiseSettings.
@@ -145,7 +149,7 @@ class Settings:
     bounces: int | None = None
     samples: int = 1
     seed: int = 0
-    method: str = "svgf"
+    method: str = "svgf+"
     signals: str = "diffuse_specular"
     pixel_filter: str = "auto"
     exposure: float | None = None

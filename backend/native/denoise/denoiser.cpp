@@ -234,18 +234,20 @@ void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outpu
     temporal_plus<Signals>(inputs);
     Place place = Place::history;
     const int last = levels() - 1;
-    for (int level = 0; level < last; ++level) {  // the last one reads scratch: working is the image that it may write
-        const Place next = (last - level) % 2 ? Place::scratch : Place::working;
+    // The last level writes into history and, without antialias, into working: it reads scratch.
+    for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
+        const Place next = last == level || (last - level) % 2 ? Place::scratch : Place::working;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
     auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
+    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
     const bool antialiases = settings_.antialias_frames > 1.0f;
     if (antialiases) {
         modulate_stage.out_color = nullptr;
         modulate_stage.out_unresolved = color_of<Storage>(Place::spare, 0);
     }
-    if (last >= 0)
+    if (last >= 1)
         atrous<Plus, Signals>("atrous and modulate", last, place, modulate_stage);
     else
         launch("modulate", modulate_stage);
@@ -318,7 +320,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
     stage.out_fireflies = fireflies_.data();
     for (int s = 0; s < Signals; ++s) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
-        stage.history_clamp[s] = settings_.history_clamp * std::sqrt(sharper);
+        stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
         stage.variance_scale[s] = square(sharper);
         stage.in_illumination[s] = color_of<Storage>(Place::working, s);
         stage.hist_color[s] = color_of<Storage>(Place::history, s);
@@ -472,10 +474,12 @@ std::vector<T> upload_values(const HostImage& image) {
 HostImages Denoiser::run_stage(const std::string& stage, const HostImages& arrays, int level) {
     const auto given = [&](const std::string& name) { return arrays.contains(name); };
     int signals = given("illumination1") || given("moments1") || given("color1") ? 2 : 1;
-    if (stage == "demodulate") {
+    if (stage == "demodulate" || stage == "antialias") {
         signals = 0;
         for (const SignalInfo& info : signal_table) signals += given(info.name);
     }
+    if (stage == "antialias" && method_ != DenoiseMethod::svgf_plus)
+        throw InputError("The stage antialias belongs to svgf+ alone.");
     if (signals < 1 || signals > max_signals) throw InputError("A stage needs one or two signals.");
     if (level < 0 || level >= 16) throw InputError("The level is out of range.");
     return with_method([&]<class Method>() {
@@ -555,7 +559,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     std::map<std::string, Buffer<float>> uploads;
     Buffer<int32_t> object_id;
     DenoiseInputs inputs;
-    if (stage == "demodulate" || stage == "modulate") {
+    if (stage == "demodulate" || stage == "modulate" || stage == "antialias") {
         HostImages stand_ins = arrays;  // modulate reads no guides and no radiance, but a frame has them
         if (stage == "modulate") {
             stand_ins.insert({"normal", {3, std::vector<float>(3 * pixels)}});
@@ -607,11 +611,17 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         for (int s = 0; s < Signals; ++s) {
             upload_color(Place::working, s, image(numbered("illumination", s), 3), nullptr);
             if (!has_history_) continue;
-            upload_color(Place::history, s, image(numbered("hist_color", s), 3), nullptr);
+            HostImage squares;  // svgf+ keeps the squared luminance after the filter there
+            if (given(numbered("hist_filtered", s))) {
+                squares = image(numbered("hist_filtered", s), 1);
+                for (float& light : squares.values) light = square(light);
+            }
+            upload_color(Place::history, s, image(numbered("hist_color", s), 3), squares.values.empty() ? nullptr : &squares);
             upload_moments(previous_moments_, s, image(numbered("hist_moments", s), 2));
         }
         Place means = Place::working;
         if constexpr (std::is_same_v<Method, Plus>) {
+            inputs.is_specular[1] = true;
             temporal_plus<Signals>(inputs);
             means = Place::history;
         } else {
@@ -674,6 +684,28 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         launch("modulate", modulate<Storage, Signals>(inputs, {color.data(), spread.data(), length.data()}, Place::working));
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
+    } else if (stage == "antialias") {
+        if constexpr (std::is_same_v<Method, Plus>) {
+            upload_guides("", guides_, "");
+            upload_color(Place::spare, 0, image("unresolved", 3), nullptr);
+            has_history_ = has_resolved_ = given("resolved");
+            if (has_history_) {
+                history_.swap(previous_resolved_);  // upload_color fills history
+                HostImage squares = image("resolved_frames", 1);
+                for (float& frames : squares.values) frames = square(frames);
+                upload_color(Place::history, 0, image("resolved", 3), &squares);
+                history_.swap(previous_resolved_);
+            }
+            Buffer<float> color(device_, 3 * pixels, "color");
+            antialias<Signals>(inputs, {color.data(), nullptr, nullptr});
+            result["color"] = {3, color.download()};
+            history_.swap(previous_resolved_);
+            HostImage& frames = result["resolved_frames"];
+            download_color(Place::history, 0, unused, frames);
+            history_.swap(previous_resolved_);
+            for (float& value : frames.values) value = std::sqrt(value);
+            has_history_ = has_resolved_ = false;
+        }
     } else {
         throw InputError("There is no denoiser stage " + stage + ".");
     }

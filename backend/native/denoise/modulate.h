@@ -16,6 +16,7 @@ struct Modulate {
     bool has_length;  // false: no temporal mean, the frame stands alone
     float* out_color;           // [H, W, 3]; null: to out_unresolved, for "antialias"
     typename Storage::Color out_unresolved;
+    typename Storage::Color out_filtered_light[Signals];  // svgf+: see temporal_plus.h; null: not wanted
     float* out_variance;        // [H, W] of luminance, signals taken as independent
     float* out_history_length;  // [H, W] frames
     int* out_repaired;
@@ -44,6 +45,7 @@ struct Modulate {
             const Vec4 c = filtered[s];
             color += c.xyz() * albedo;
             variance += c.w * square(luminance(albedo));
+            if (out_filtered_light[s].texels) out_filtered_light[s].store_variance(pixel, square(luminance(c.xyz())));
         }
         if (out_color) {
             out_color[3 * pixel] = color.x;

@@ -31,8 +31,10 @@ namespace svgf {
             "Reprojection accepts history whose normal has at least this cosine with the new one.")                    \
     SETTING(history_frames, float, 20.0, 1.0, 4096.0, "frames", "",                                                    \
             "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
-    SETTING(history_clamp, float, 1.0, 0.0, 1e6, "standard deviations", "",                                            \
+    SETTING(history_clamp, float, 2.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
+    SETTING(specular_history_clamp, float, 0.33, 0.0, 1e6, "standard deviations", "",                                  \
+            "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
     SETTING(firefly_limit, float, 30.0, 1.0, 1e18, "", "",                                                             \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.")     \
     SETTING(specular_sharpness, float, 3.0, 1.0, 1e3, "", "",                                                          \

@@ -14,8 +14,9 @@
 // - History is drawn towards the mean of the 3x3 samples where it is more than `history_clamp` standard deviations away
 //   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from its
 //   surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
-// - A sample brighter than `firefly_limit` times what history or the other neighbours say is scaled down to that, before it
-//   enters the mean. The limit is relative, so that it holds at any exposure; what is cut is counted.
+// - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
+//   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright sample
+//   in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
 // - Each signal has its own history length: reflections lose theirs while the diffuse light beside them keeps it.
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
@@ -25,14 +26,14 @@
 
 namespace svgf {
 
-// The brightest neighbour is left out of the local mean, and the rest counts for this much: where light is sparse, history
-// knows better than eight neighbours.
+// Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
 
 template <class Storage, int Signals>
 struct TemporalPlus {
     Reprojection<Storage> reprojection;
-    typename Storage::Color in_illumination[Signals], hist_color[Signals];
+    typename Storage::Color in_illumination[Signals];
+    typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
     typename Storage::Moments hist_moments[Signals];  // frames, variance of a sample
     float history_frames, firefly_limit;
     float history_clamp[Signals];   // standard deviations
@@ -78,7 +79,7 @@ private:
     struct Mean {
         float weight = 0.0f;
         Vec3 color[Signals];
-        float frames[Signals] = {}, variance[Signals] = {};
+        float frames[Signals] = {}, variance[Signals] = {}, filtered_light[Signals] = {};
     };
 
     // The pixels around that show the same surface.
@@ -96,7 +97,9 @@ private:
             const float share = weight / old.weight;
             for (int s = 0; s < Signals; ++s) {
                 const Vec2 moments = hist_moments[s][pixel];
-                old.color[s] += (hist_color[s][pixel].xyz() - old.color[s]) * share;
+                const Vec4 color = hist_color[s][pixel];
+                old.color[s] += (color.xyz() - old.color[s]) * share;
+                old.filtered_light[s] += (fast_sqrt(color.w) - old.filtered_light[s]) * share;
                 old.frames[s] += (moments.x - old.frames[s]) * share;
                 old.variance[s] += (moments.y - old.variance[s]) * share;
             }
@@ -160,7 +163,7 @@ private:
         return frames;
     }
 
-    // Luminance of a sample by what history and the neighbours say; without either, its own.
+    // Luminance of a sample by what the filter made of history, and by the neighbours; without either, its own.
     SVGF_HD float expected_light(int s, const Neighbours& near, const Mean& old, float own) const {
         float sum = 0.0f, most = 0.0f;
         for (int n = 0; n < near.count; ++n) {
@@ -169,7 +172,7 @@ private:
             most = max(most, light);
         }
         const float local = near.count > 1 ? max(sum - most, 0.0f) / float(near.count - 1) : own;
-        return old.weight > 0.0f ? max(luminance(old.color[s]), near.count > 1 ? neighbour_share * local : 0.0f) : local;
+        return old.weight > 0.0f ? max(old.filtered_light[s], near.count > 1 ? neighbour_share * local : 0.0f) : local;
     }
 
     SVGF_HD Vec3 limited(Vec3 color, float limit, bool counts) const {
