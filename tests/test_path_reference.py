@@ -303,8 +303,8 @@ def test_transparent_bounces_end_at_their_limit(device):
     pane = Material("pane", kind=MaterialKind.TRANSPARENT, base_color=(1.0, 1.0, 1.0))
     panes = [(scenes.quad(8.0), scenes.transform((0, 0, 0.5 + 0.01 * i)), [pane]) for i in range(64)]
     view = scenes.camera((0, 0.01, 5.0), (0, 0, 0), half_width=0.2)
-    # A limit of n lets a ray pass n + 1 surfaces; the next one ends it.
-    for limit, expected in ((63, 1.0), (62, 0.0)):
+    # A limit of n lets a ray pass n surfaces; the next one ends it.
+    for limit, expected in ((64, 1.0), (63, 0.0)):
         scene = scenes.build(panes, view, world=World((1, 1, 1)))
         paths = LightPaths(transparent_bounces=limit)
         scene = dataclasses.replace(scene, defaults=RenderDefaults(light_paths=paths, transparent_film=True))

@@ -93,7 +93,7 @@ struct GbufferStage {
         Vec3 tint{1, 1, 1};
         if constexpr (covers(kernel, Effects::alpha)) {
             // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
-            for (int vertex = 1; max_component(surface.straight) > 0.0f && vertex <= transparent_bounces; ++vertex) {
+            for (int vertex = 1; max_component(surface.straight) > 0.0f && vertex <= max(transparent_bounces, 1); ++vertex) {
                 tint *= surface.straight;
                 ray.t_min = hit.t;
                 hit = find_closest_hit(scene, ray);

@@ -74,7 +74,8 @@ struct PathVertices {
         Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
         if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
-            if (path.transparent_bounces > limits.transparent_bounces) return false;
+            // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
+            if (path.transparent_bounces >= max(limits.transparent_bounces, 1)) return false;
             if (max_component(surface.straight) > 0.0f) {
                 // The same ray goes on, so that what it finds has the density with which it was sampled.
                 ++path.transparent_bounces;

@@ -100,7 +100,7 @@ def _see_through(
     hits = replace(hits, **{field.name: getattr(hits, field.name).copy() for field in fields(hits)})
     choice, tint = rays.choice(0)[:, 0], np.ones((len(hits.t), 3))
     rows = np.flatnonzero(hits.found)
-    for vertex in range(1, transparent_bounces + 1):
+    for vertex in range(1, max(transparent_bounces, 1) + 1):
         view = -rays.direction[rows]
         straight = surface_at(scene, hits, rows, view, choice[rows]).straight if len(rows) else np.zeros((0, 3))
         passes = straight.max(axis=1, initial=0.0) > 0.0

@@ -149,7 +149,8 @@ def trace_paths(
         _add_emission(scene, signals, paths, surface, t)
 
         # What goes straight on keeps its ray, so that what it finds has the density with which it was sampled.
-        goes_on = paths.transparent_bounces <= limits.transparent_bounces
+        # As in Cycles the surface after the last that may be passed only shines, and one may always be passed.
+        goes_on = paths.transparent_bounces < max(limits.transparent_bounces, 1)
         is_straight = surface.straight.max(axis=1, initial=0.0) > 0.0
         straight = paths.rows(goes_on & is_straight)
         straight.throughput = straight.throughput * surface.straight[goes_on & is_straight]
