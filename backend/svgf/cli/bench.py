@@ -495,7 +495,6 @@ def _print_export(rows: Sequence[Any]) -> None:
     Console(highlight=False).print(table)
 
 
-@app.command()
 def _print_ablation(rows: list[Ablation], title: str) -> None:
     from rich.console import Console
     from rich.table import Table
