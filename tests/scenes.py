@@ -15,6 +15,7 @@ from svgf.scene import (
     Light,
     LightKind,
     Material,
+    MaterialKind,
     Mesh,
     Projection,
     RayVisibility,
@@ -319,6 +320,38 @@ def many_lights_scene(count: int = 60) -> Scene:
     return build(objects, camera((0.5, -3.0, 2.5), (0, 0, 0)), lights)
 
 
+def textured_light_scene() -> Scene:
+    """A floor under a screen: two triangles that shine as an image says."""
+    screen = Material(
+        "screen", base_color=(0.1, 0.1, 0.1), emission=(8.0, 6.0, 4.0), specular_ior_level=0.0,
+        maps={"emission": TextureMap(0, uv_transform=(0.5, 0.0, 0.2, 0.1, 0.7, 0.0))},
+    )  # fmt: skip
+    objects = [
+        (quad(4.0), transform(), [WHITE]),
+        (quad(0.8), transform((0, 0, 1.2), rotation("x", 0.6)), [screen]),
+        (sphere(0.3, rows=8), transform((0.6, 0.2, 0.3)), [METAL]),
+    ]
+    return build(objects, camera((0.5, -3.0, 2.5), (0, 0, 0.3)), textures=[checker_texture()])
+
+
+def cutout_scene() -> Scene:
+    """A floor with a lamp behind panes: tinted, half transparent, and one that an image cuts holes into; the camera
+    looks through one of them too."""
+    tinted = Material("tinted", kind=MaterialKind.TRANSPARENT, base_color=(0.9, 0.3, 0.2))
+    half = Material("half", base_color=(0.2, 0.4, 0.8), alpha=0.4, specular_ior_level=0.0)
+    holes = Material("holes", base_color=(0.3, 0.7, 0.3), specular_ior_level=0.0, maps={"alpha": TextureMap(0)})
+    pane = quad(1.2)
+    objects = [
+        (quad(4.0), transform(), [WHITE]),
+        *((pane, transform((x, 0, 0.9), rotation("y", 0.2)), [m]) for x, m in ((-1, tinted), (0, half), (1, holes))),
+        (pane, transform((0.2, -1.2, 0.6), rotation("x", 1.3)), [half]),
+        (sphere(0.3, rows=8), transform((0.3, 0.3, 0.3)), [GLOSSY]),
+    ]
+    light = lamp(LightKind.RECTANGLE, eye=(0.2, 0, 2.0), target=(0, 0, 0))
+    view, world = camera((0.5, -3.0, 2.5), (0, 0, 0.3)), World((0.2, 0.3, 0.4))
+    return build(objects, view, [light], textures=[checker_texture()], world=world)
+
+
 def visibility_scene() -> Scene:
     """Every object and lamp is hidden from another kind of ray."""
     scene = box_scene()
@@ -372,6 +405,8 @@ def device_scenes() -> dict[str, Scene]:
         "mesh_light": mesh_light_scene(),
         "environment": environment_scene(),
         "many_lights": many_lights_scene(),
+        "textured_light": textured_light_scene(),
+        "cutouts": cutout_scene(),
         "visibility": visibility_scene(),
         "limited": limited_scene(),
         "orthographic": orthographic(moving_scene()),

@@ -554,6 +554,10 @@ NB_MODULE(SVGF_MODULE, module) {
         }, "settings"_a)
         .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
         .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("fireflies", [](const Denoiser& denoiser) {
+            const FireflyCount count = denoiser.fireflies();
+            return std::pair(count.samples, double(count.light) / light_units);
+        }, "Samples of the last frame that svgf+ scaled down, and the luminance over albedo that was cut, over all pixels.")
         .def("traffic", [](const Denoiser& denoiser) {
             nb::dict result;
             for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;

@@ -11,14 +11,18 @@ from .scene import Texture
 LARGEST_MAP = (256, 512)
 
 
+def linear_pixels(image: Texture) -> np.ndarray:
+    """[H, W, 3] linear colours."""
+    pixels = np.asarray(image.pixels)[..., :3]
+    if pixels.dtype != np.uint8:
+        return pixels
+    pixels = pixels.astype(np.float32) / np.float32(255)
+    return np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4) if image.srgb else pixels
+
+
 def mean_radiance(image: Texture) -> np.ndarray:
     """[rows, columns]: mean of the channels, averaged down to at most LARGEST_MAP; row 0 looks down."""
-    pixels = np.asarray(image.pixels)[..., :3]
-    if pixels.dtype == np.uint8:
-        pixels = pixels.astype(np.float32) / np.float32(255)
-        if image.srgb:
-            pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
-    luminance = np.maximum(np.nan_to_num(pixels.mean(axis=2, dtype=np.float64), posinf=0.0), 0.0)
+    luminance = np.maximum(np.nan_to_num(linear_pixels(image).mean(axis=2, dtype=np.float64), posinf=0.0), 0.0)
     for axis, largest in enumerate(LARGEST_MAP):
         size = luminance.shape[axis]
         if size > largest:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from .effects import instances_by_mesh
-from .environment import mean_radiance, sampling_map
+from .environment import linear_pixels, mean_radiance, sampling_map
 from .light_tree import SMALLEST_TREE, LightBounds, build_light_tree
-from .scene import Light, LightKind, Mesh, Scene
+from .scene import Light, LightKind, Mesh, Scene, TextureMap
 
 # light_kind after those of LightKind
 TRIANGLE = 5
@@ -28,6 +28,14 @@ SMALLEST_SPREAD = np.pi / 180.0
 
 
 @dataclass
+class Emission:
+    """Of materials. radiance: [M, 3], by which the map is multiplied where there is one."""
+
+    radiance: np.ndarray
+    maps: tuple[TextureMap | None, ...]
+
+
+@dataclass
 class _Rows:
     """Lights of one kind. weight: [n], by which one is chosen."""
 
@@ -38,13 +46,12 @@ class _Rows:
 
 
 def flatten_lights(
-    scene: Scene, instances: dict[str, np.ndarray], emission: np.ndarray, origin: np.ndarray, extent: float
+    scene: Scene, instances: dict[str, np.ndarray], emission: Emission, origin: np.ndarray, extent: float
 ) -> dict[str, Any]:
-    """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances. emission:
-    [M, 3], radiance of each material."""
+    """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances."""
     lamps = _lamps(scene.lights, origin, extent)
     environment, row_cdf, column_cdf = _environment(scene, extent)
-    triangles, emitters = _emissive_triangles(scene.meshes, instances, emission)
+    triangles, emitters = _emissive_triangles(scene, instances, emission)
     is_sun = lamps.kind == LightKind.SUN
     groups = (_chosen(lamps, is_sun), environment, _chosen(lamps, ~is_sun), triangles)
     kind, data, visibility, weight = (
@@ -195,15 +202,18 @@ class _Found:
     owner: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0, dtype=np.int64)])
     vertex: list[np.ndarray] = field(default_factory=lambda: [np.zeros((0, 3, 3))])
     radiance: list[np.ndarray] = field(default_factory=lambda: [np.zeros((0, 3))])
+    mean: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0)])  # with the map
+    emission_map: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0, dtype=np.int32)])
 
 
 def _emissive_triangles(
-    meshes: tuple[Mesh, ...], instances: dict[str, np.ndarray], emission: np.ndarray
+    scene: Scene, instances: dict[str, np.ndarray], emission: Emission
 ) -> tuple[_Rows, dict[str, np.ndarray]]:
     """The triangles that emit, in instance order, and the fields of a FlatScene that say which light a triangle is."""
-    table = instances["material_table"]
-    emits = (emission.mean(axis=1) > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
-    found = _Found()
+    meshes, table = scene.meshes, instances["material_table"]
+    mean = _mean_emission(scene, emission)
+    emits = (mean > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
+    found, emission_maps, map_count = _Found(), [np.zeros((0, 8))], 0
     emitter = np.full(len(instances["instance_mesh"]), -1, dtype=np.int32)
     light_of_triangle, members_of_table, table_start = [np.zeros(0, dtype=np.int32)], [], 0
     if emits.any():
@@ -224,15 +234,22 @@ def _emissive_triangles(
                 world += transform[:, None, None, :, 3]
                 found.owner.append(np.repeat(users, len(chosen)))
                 found.vertex.append(world.reshape(-1, 3, 3))
-                found.radiance.append(np.tile(emission[table[entries[chosen]]], (len(users), 1)))
+                shining = table[entries[chosen]]
+                found.radiance.append(np.tile(emission.radiance[shining], (len(users), 1)))
+                found.mean.append(np.tile(mean[shining], len(users)))
+                has_map = np.array([emission.maps[index] is not None for index in shining], dtype=bool)
+                numbers = np.where(has_map, map_count + np.cumsum(has_map) - 1, -1)
+                found.emission_map.append(np.tile(numbers, len(users)))
+                emission_maps.append(_emission_maps(meshes[index], chosen[has_map], shining[has_map], emission))
+                map_count += np.count_nonzero(has_map)
                 numbers = np.full(len(slots), -1, dtype=np.int32)
                 numbers[chosen] = np.arange(len(chosen))
                 light_of_triangle.append(numbers)
                 members_of_table.append((users, table_start))
                 table_start += len(slots)
-    owner, vertex, radiance = (np.concatenate(parts) for parts in vars(found).values())
+    owner = np.concatenate(found.owner)
     in_order = np.argsort(owner, kind="stable")
-    owner, vertex, radiance = owner[in_order], vertex[in_order], radiance[in_order]
+    owner, vertex, radiance, mean, emission_map = (np.concatenate(parts)[in_order] for parts in vars(found).values())
 
     emitters = np.zeros((0, 2), dtype=np.int32)
     if members_of_table:
@@ -240,14 +257,38 @@ def _emissive_triangles(
         tables = np.concatenate([np.full(len(users), start) for users, start in members_of_table])
         emitter[users] = np.arange(len(users))
         emitters = np.column_stack([np.searchsorted(owner, users), tables]).astype(np.int32)
-    rows = _triangle_rows(vertex, radiance, instances["visibility"][owner])
+    rows = _triangle_rows(vertex, radiance, mean, instances["visibility"][owner])
     return rows, {
         "emitter": emitter,
         "emitters": emitters,
         "light_of_triangle": np.concatenate(light_of_triangle),
-        "emission_map": np.full(len(owner), -1, dtype=np.int32),
-        "emission_maps": np.zeros((0, 8)),
+        "emission_map": emission_map.astype(np.int32),
+        "emission_maps": np.concatenate(emission_maps),
     }
+
+
+def _mean_emission(scene: Scene, emission: Emission) -> np.ndarray:
+    """[M] mean of the channels, over the image where there is a map."""
+    color = emission.radiance.copy()
+    for row, texture_map in zip(color, emission.maps):
+        if texture_map is not None and row.any():
+            pixels = linear_pixels(scene.textures[texture_map.texture])
+            row *= pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+    return color.mean(axis=1)
+
+
+def _emission_maps(mesh: Mesh, triangles: np.ndarray, materials: np.ndarray, emission: Emission) -> np.ndarray:
+    """[n, 8], see FlatScene."""
+    rows = np.zeros((len(triangles), 8))
+    layers = np.zeros((0, len(mesh.triangles), 3, 2)) if mesh.uvs is None else np.asarray(mesh.uvs)
+    layers = layers.reshape(-1, len(mesh.triangles), 3, 2)
+    for row, triangle, material in zip(rows, triangles, materials):
+        texture_map = emission.maps[material]
+        uv = np.zeros((3, 2)) if texture_map.uv_layer >= len(layers) else layers[texture_map.uv_layer, triangle]
+        matrix = np.reshape(texture_map.uv_transform, (2, 3))
+        row[:6] = (uv @ matrix[:, :2].T + matrix[:, 2]).ravel()
+        row[6] = texture_map.texture
+    return rows
 
 
 def _has_area(corners: np.ndarray) -> np.ndarray:
@@ -256,14 +297,15 @@ def _has_area(corners: np.ndarray) -> np.ndarray:
         return np.isfinite(normal).all(axis=1) & (normal != 0.0).any(axis=1)
 
 
-def _triangle_rows(vertex: np.ndarray, radiance: np.ndarray, visibility: np.ndarray) -> _Rows:
-    """vertex: [n, 3, 3]. Triangles that a transform makes too large or small for numbers have no weight."""
+def _triangle_rows(vertex: np.ndarray, radiance: np.ndarray, mean: np.ndarray, visibility: np.ndarray) -> _Rows:
+    """vertex: [n, 3, 3]. mean: [n], of the radiance. Triangles that a transform makes too large or small for
+    numbers have no weight."""
     rows = np.zeros((len(vertex), 24))
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         edge1, edge2 = vertex[:, 1] - vertex[:, 0], vertex[:, 2] - vertex[:, 0]
         normal = np.cross(edge1, edge2)
         length = np.linalg.norm(normal, axis=1)
-        weight = radiance.mean(axis=1) * (length / 2.0) * np.pi
+        weight = mean * (length / 2.0) * np.pi
         rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = vertex[:, 0], edge1, edge2
         rows[:, 9:12] = normal / length[:, None]
         rows[:, 12:15] = radiance

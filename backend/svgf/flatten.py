@@ -9,12 +9,12 @@ keeps the same numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .effects import Effects, find_effects
-from .flat_lights import ENVIRONMENT, flatten_lights
+from .flat_lights import ENVIRONMENT, Emission, flatten_lights
 from .scene import (
     MATERIAL_INPUTS,
     Camera,
@@ -26,6 +26,7 @@ from .scene import (
     RayVisibility,
     Scene,
     Texture,
+    TextureMap,
 )
 
 # Determinant over the product of the column lengths, below which a matrix counts as not invertible.
@@ -232,6 +233,7 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
         light_arrays = {name: getattr(previous, name) for name in _LIGHT_ARRAYS}
     else:
         emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
+        emission = Emission(*_with_emission_maps(scene.materials, emission))
         light_arrays = flatten_lights(scene, instance_arrays, emission, origin, extent)
     effects = find_effects(scene)
     if len(light_arrays["light_tree"]):
@@ -441,6 +443,23 @@ def _light_emission(
         else:
             known[index] = np.zeros(3)
     return known[index]
+
+
+def _with_emission_maps(
+    materials: tuple[Material, ...], emission: np.ndarray
+) -> tuple[np.ndarray, tuple[TextureMap | None, ...]]:
+    """Radiance [M, 3] that a map multiplies where there is one, and the maps. Of materials of which nothing else but
+    the map varies with the place."""
+    emission, maps = emission.copy(), []
+    for row, material in zip(emission, materials):
+        texture_map = material.maps.get("emission")
+        if texture_map is not None and not material.is_mix:
+            bare = replace(material, maps={name: item for name, item in material.maps.items() if name != "emission"})
+            constant = _light_emission((bare,), 0, {})
+            texture_map = texture_map if constant is not None else None
+            row[:] = 0.0 if constant is None else constant
+        maps.append(None if material.is_mix else texture_map)
+    return emission, tuple(maps)
 
 
 def _mixed_emission(material: Material, first: np.ndarray, second: np.ndarray) -> np.ndarray | None:

@@ -26,12 +26,17 @@ SVGF_HD inline Vec2 pixel_point(int x, int y, const Sampler& sampler, bool box_f
     return {float(x) + offset.x, float(y) + offset.y};
 }
 
-// The first ray of a sample, through image point `point`.
+// The first ray of a sample, through image point `point`, in metres: what goes on behind a hit must be this very ray.
 template <Effects kernel>
 SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler) {
+    Ray ray = camera.ray(point);
     if constexpr (covers(kernel, Effects::depth_of_field))
-        if (camera.aperture.radius > 0.0f) return camera.ray_through_lens(point, sampler.pair(SamplePair::lens));
-    return camera.ray(point);
+        if (camera.aperture.radius > 0.0f) ray = camera.ray_through_lens(point, sampler.pair(SamplePair::lens));
+    const float scale = length(ray.direction);
+    ray.direction = ray.direction / scale;
+    ray.t_min *= scale;
+    ray.t_max *= scale;
+    return ray;
 }
 
 // What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
@@ -83,7 +88,7 @@ struct GbufferStage {
         Hit hit = find_closest_hit(scene, ray);
         out_hit[i] = hit;
         if (!hit.found()) return write_background(i, ray.direction);
-        const Vec3 view = -normalize(ray.direction);
+        const Vec3 view = -ray.direction;
         Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
         Vec3 tint{1, 1, 1};
         if constexpr (covers(kernel, Effects::alpha)) {

@@ -63,10 +63,9 @@ struct PathVertices {
     bool two_signals;    // else the first one gets all
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
-    SVGF_HD bool shade(const Sampler& sampler, int vertex, Hit hit, Path& path, Gathered& light,
+    SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow) const {
         Ray& ray = path.ray;
-        if (vertex == 0) scale_to_unit(ray, hit);
         if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
         if (!hit.found()) {
             add_world(path, light);
@@ -122,15 +121,6 @@ struct PathVertices {
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
     static constexpr bool has_alpha = covers(kernel, Effects::alpha);
-
-    // Primary rays have planar depth 1; from here on distances are in metres.
-    SVGF_HD static void scale_to_unit(Ray& ray, Hit& hit) {
-        const float scale = length(ray.direction);
-        ray.direction = ray.direction / scale;
-        ray.t_min *= scale;
-        ray.t_max *= scale;
-        hit.t *= scale;
-    }
 
     // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {

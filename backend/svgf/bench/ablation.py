@@ -31,6 +31,18 @@ STEPS: dict[str, dict[str, dict[str, float]]] = {
         "normal weight": {"eaw_sigma_normal": 1e6},
         "position weight": {"eaw_sigma_position": 1e6},
     },
+    "svgf+": {
+        "temporal mean": {"history_frames": 1.0},
+        "firefly limit": {"firefly_limit": 1e18},
+        "history clamp": {"history_clamp": 1e6, "specular_history_clamp": 1e6},
+        "specular sharpness": {"specular_sharpness": 1.0},
+        "antialias": {"antialias_frames": 1.0},
+        "depth weight": {"sigma_depth": 1e6},
+        "normal weight": {"plus_sigma_normal": 1e-3},
+        "luminance weight": {"plus_sigma_luminance": 1e6},
+        "a-trous levels 3 to 5": {"levels": 2},
+        "a-trous": {"levels": 0},
+    },
     "svgf": {
         "temporal mean": {"alpha": 1.0},
         "spatial variance": {"spatial_variance_frames": 1},

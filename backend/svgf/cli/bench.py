@@ -41,7 +41,7 @@ def stages(
     ] = None,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1920x1080",
     device: DeviceOption = "auto",
-    method: Annotated[str, typer.Option(metavar="NAME", help="svgf, eaw or none.")] = "svgf",
+    method: Annotated[str, typer.Option(metavar="NAME", help="svgf+, svgf, eaw or none.")] = "svgf+",
     bounces: Annotated[
         int | None, typer.Option(metavar="N", help="Light bounces. Default: what the file says.")
     ] = None,
@@ -185,7 +185,7 @@ def denoise(
     opened = open_device(device)
     cases = [
         (method, size, signals)
-        for method in methods or ["svgf"]
+        for method in methods or ["svgf+"]
         for size in ([parse_size(size) for size in sizes] if sizes else SIZES)
         for signals in (1, 2)
     ]

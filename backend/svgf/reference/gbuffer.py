@@ -12,7 +12,6 @@ from ..scene import RayVisibility
 from .camera import Camera
 from .intersect import Hits
 from .surface import SceneView, surface_at
-from .vec import normalize
 
 BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
@@ -22,13 +21,13 @@ NO_MOTION = 1e6
 
 @dataclass
 class PrimaryRays:
-    """point: [n, 2] image points. origin, direction: [n, 3], of planar depth 1. far: planar depth where they end. choice:
-    of a vertex, random numbers [n, 2] of which the first is that of surface_at."""
+    """point: [n, 2] image points. origin, direction: [n, 3] unit. far: [n], where they end. choice: of a vertex, random
+    numbers [n, 2] of which the first is that of surface_at."""
 
     point: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
-    far: float
+    far: np.ndarray
     choice: Callable[[int], np.ndarray]
 
 
@@ -56,7 +55,7 @@ def trace_gbuffer(
         "motion": np.zeros((count, 3)),
     }
     found = np.flatnonzero(hits.found)
-    view = -normalize(direction[found])
+    view = -direction[found]
     surface = surface_at(scene, hits, found, view, choice[found])
     bsdf = surface.bsdf(view)
     depth = camera.depth(surface.position)
@@ -102,15 +101,15 @@ def _see_through(
     choice, tint = rays.choice(0)[:, 0], np.ones((len(hits.t), 3))
     rows = np.flatnonzero(hits.found)
     for vertex in range(1, transparent_bounces + 1):
-        view = -normalize(rays.direction[rows])
+        view = -rays.direction[rows]
         straight = surface_at(scene, hits, rows, view, choice[rows]).straight if len(rows) else np.zeros((0, 3))
         passes = straight.max(axis=1, initial=0.0) > 0.0
         rows, straight = rows[passes], straight[passes]
         if not len(rows):
             break
         tint[rows] *= straight
-        far, kind = np.full(len(rows), rays.far), np.full(len(rows), int(RayVisibility.CAMERA))
-        behind = scene.shapes.closest(rays.origin[rows], rays.direction[rows], hits.t[rows], far, kind)
+        kind = np.full(len(rows), int(RayVisibility.CAMERA))
+        behind = scene.shapes.closest(rays.origin[rows], rays.direction[rows], hits.t[rows], rays.far[rows], kind)
         for field in fields(hits):
             getattr(hits, field.name)[rows] = getattr(behind, field.name)
         choice[rows] = rays.choice(vertex)[rows, 0]

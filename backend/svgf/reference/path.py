@@ -27,7 +27,6 @@ from .sampling import (
     surface_pair,
 )
 from .surface import SceneView, Surface, surface_at, transmittance_at
-from .vec import normalize
 
 ROULETTE_START = 3
 # Numbers of the surfaces on one shadow ray.
@@ -40,8 +39,8 @@ _KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSIO
 class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
     that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
-    signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray only
-    looks for light. transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
+    signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray
+    only looks for light. transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
@@ -109,18 +108,17 @@ def trace_paths(
     limits: LightPaths,
     origin: np.ndarray,
     direction: np.ndarray,
-    clip: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
     hits: Hits,
 ) -> None:
-    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction, hits: the primary rays, of
-    planar depth 1, clip: [2], planar depths between which they look, and what they hit."""
+    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits: the primary
+    rays, which look from near to far, and what they hit."""
     count = len(direction)
-    length = np.sqrt((direction**2).sum(axis=1))
-    hits.t = hits.t * length
     paths = Paths(
         pixel=np.arange(count),
         origin=origin,
-        direction=normalize(direction),
+        direction=direction,
         throughput=np.ones((count, 3)),
         pdf=np.zeros(count),
         smallest_pdf=np.full(count, np.inf),
@@ -131,8 +129,8 @@ def trace_paths(
         bounces=np.zeros((count, 3), dtype=np.int64),
         ends=np.zeros(count, dtype=bool),
         transparent_bounces=np.zeros(count, dtype=np.int64),
-        t_min=clip[0] * length,
-        t_max=clip[1] * length,
+        t_min=near,
+        t_max=far,
     )
     if signals.transparent_film:
         signals.images["alpha"] += 1.0

@@ -122,14 +122,18 @@ class Tracer:
                 if pixel_filter == "box":
                     point = point - 0.5 + random_pair(keys, PIXEL_PAIR, number)
                 origin, direction = camera.rays(point, random_pair(keys, LENS_PAIR, number))
-                hits = self._primary_hits(origin, direction, clip)
+                # Directions have planar depth 1, so the planar clip distances are those along the ray. From here on
+                # rays count in metres.
+                length = np.sqrt((direction**2).sum(axis=1))
+                direction, near, far = direction / length[:, None], clip[0] * length, clip[1] * length
+                hits = self._shapes.closest(origin, direction, near, far, np.full(len(far), int(RayVisibility.CAMERA)))
                 if not images:
                     primary = PrimaryRays(
-                        point, origin, direction, clip[1], lambda vertex: random_pair(keys, surface_pair(vertex), number)
+                        point, origin, direction, far, lambda vertex: random_pair(keys, surface_pair(vertex), number)
                     )
                     images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, clip, hits)
+                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
         if not Effects(effects) & Effects.SPECULAR:
             del images["specular_albedo"]
         if not Effects(effects) & MOTION_EFFECTS:
@@ -160,9 +164,3 @@ class Tracer:
             return World()
         radiance, visibility, texture, *rest = self._world
         return World(radiance, visibility, self._textures[texture] if texture >= 0 else None, *rest)
-
-    def _primary_hits(self, origin: np.ndarray, direction: np.ndarray, clip: np.ndarray) -> Hits:
-        # Directions have planar depth 1, so the planar clip distances are those along the ray.
-        near, far = (np.full(len(direction), distance) for distance in clip)
-        kind = np.full(len(direction), int(RayVisibility.CAMERA))
-        return self._shapes.closest(origin, direction, near, far, kind)
