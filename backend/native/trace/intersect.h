@@ -198,10 +198,12 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         const std::uint32_t children = (slots >> 5) & 0x07070707u;
         SVGF_UNROLL
         for (int i = 0; i < 4; ++i) {
-            const Vec3 near{near_x.value[i] * scale.x + near_start.x, near_y.value[i] * scale.y + near_start.y,
-                            near_z.value[i] * scale.z + near_start.z};
-            const Vec3 far{far_x.value[i] * scale.x + far_start.x, far_y.value[i] * scale.y + far_start.y,
-                           far_z.value[i] * scale.z + far_start.z};
+            const Vec3 near{multiply_add(near_x.value[i], scale.x, near_start.x),
+                            multiply_add(near_y.value[i], scale.y, near_start.y),
+                            multiply_add(near_z.value[i], scale.z, near_start.z)};
+            const Vec3 far{multiply_add(far_x.value[i], scale.x, far_start.x),
+                           multiply_add(far_y.value[i], scale.y, far_start.y),
+                           multiply_add(far_z.value[i], scale.z, far_start.z)};
             if (overlap(near, t_min, far, t_max))
                 mask |= ((children >> (8 * i)) & 0xffu) << ((shifts >> (8 * i)) & 0xffu);
         }

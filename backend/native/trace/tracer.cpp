@@ -15,15 +15,16 @@
 namespace svgf {
 namespace {
 
-// Of surfaces, what takes most of the code and not every scene has.
-constexpr Effects rare_effects = Effects::transmission | Effects::alpha | Effects::coat | Effects::sheen |
-                                 Effects::anisotropy | Effects::material_mixes;
+// Of surfaces, what takes most of the code and few scenes have.
+constexpr Effects rare_effects =
+    Effects::alpha | Effects::coat | Effects::sheen | Effects::anisotropy | Effects::material_mixes;
 
 // Every kernel is compiled once for each of these. The first one that covers the effects of a frame runs, so they go
 // from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
 // nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
-    without(Effects::all, rare_effects | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission),
     without(Effects::all, rare_effects),
     Effects::all,
 };

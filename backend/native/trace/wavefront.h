@@ -16,9 +16,18 @@
 
 namespace svgf {
 
-// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: 80 registers per thread. Eight make
-// the full kernel slower by a fifth, with spills (H200, cornell).
-constexpr int shade_blocks = 6;
+#ifndef V_B
+#define V_B 6, 5, 4, 3
+#endif
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
+// registers it is left.
+template <Effects kernel>
+constexpr int shade_blocks = [] {
+    constexpr int blocks[] = {V_B};
+    if (covers(kernel, Effects::alpha)) return blocks[3];
+    if (covers(kernel, Effects::transmission)) return blocks[2];
+    return covers(kernel, Effects::specular) ? blocks[1] : blocks[0];
+}();
 
 // Records as they lie in memory: whole reads of 16 bytes.
 struct alignas(16) PathRecord {
@@ -162,7 +171,7 @@ SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memor
 
 template <Effects kernel>
 struct ShadeStage {
-    static constexpr LaunchShape launch_shape{32, 4, shade_blocks};
+    static constexpr LaunchShape launch_shape{32, 4, shade_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -184,7 +193,7 @@ struct ShadeStage {
 // Vertex 0 of all pixels.
 template <Effects kernel>
 struct FirstShadeStage {
-    static constexpr LaunchShape launch_shape{8, 16, shade_blocks};
+    static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
