@@ -26,7 +26,11 @@ def make_plus_images(rng, signals=2):
     for s in range(signals):
         frames = rng.integers(1, 9, (HEIGHT, WIDTH)) * (images["object_id"] != 0)
         images[f"hist_filtered{s}"] = rng.gamma(1.0, 0.1, frames.shape).astype(np.float32)
-        images[f"hist_moments{s}"] = np.stack([frames, rng.gamma(1.0, 1.0, frames.shape)], axis=-1).astype(np.float32)
+        # Numbers that the packing keeps exactly: 6 bits of deviation, steps of 1/32 of drift.
+        mantissa, exponent = np.frexp(rng.gamma(1.0, 1.0, frames.shape))
+        deviation = np.ldexp(np.round(mantissa * 64.0) / 64.0, exponent)
+        drift = np.round(rng.normal(0.0, 0.5, frames.shape) * 32.0) / 32.0
+        images[f"hist_moments{s}"] = np.stack([frames, deviation**2, drift], axis=-1).astype(np.float32)
     return images
 
 
@@ -55,10 +59,12 @@ def test_temporal_agrees(device, signals, channels):
     for s in range(signals):
         largest = np.maximum(images[f"hist_color{s}"], images[f"illumination{s}"]).max()
         assert_colors_agree(actual[f"color{s}"], expected[f"color{s}"], 0.99, COLOR_ERROR * largest)
-        for name, tolerance in ((f"variance{s}", 0.03), (f"moments{s}", 0.03)):
-            good = np.isclose(actual[name], expected[name], rtol=tolerance, atol=1e-5)
-            assert good[surface].mean() >= 0.99
-            assert (actual[name] >= 0.0).all()
+        # Deviations keep 6 bits and are rounded at random, twice; drift has steps of 1/32.
+        good = np.isclose(actual[f"variance{s}"], expected[f"variance{s}"], rtol=0.08, atol=1e-5)
+        assert good[surface].mean() >= 0.99
+        good = np.isclose(actual[f"moments{s}"], expected[f"moments{s}"], rtol=0.12, atol=0.05)
+        assert good[surface].mean() >= 0.98
+        assert (actual[f"variance{s}"] >= 0.0).all()
     assert np.isclose(actual["history_length"], expected["history_length"], rtol=0.02, atol=0.07).mean() >= 0.99
 
 
@@ -81,6 +87,8 @@ def test_atrous_agrees(device, signals, level):
 def test_antialias_agrees(device, frames, moves):
     rng = np.random.default_rng(23)
     images = make_images(rng, 2)
+    for s in range(2):
+        images[f"moments{s}"] = np.stack([np.ones((HEIGHT, WIDTH))] * 3, axis=-1).astype(np.float32)
     images["unresolved"] = rng.gamma(0.7, 1.5, (HEIGHT, WIDTH, 3)).astype(np.float32)
     if frames:
         images["resolved"] = rng.gamma(0.7, 1.5, (HEIGHT, WIDTH, 3)).astype(np.float32)

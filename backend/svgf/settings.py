@@ -72,7 +72,7 @@ class DenoiseSettings:
         "svgf+: longest history where something moves; what stands still has no limit. 1: no history.", unit="frames",
     )  # fmt: skip
     history_clamp: float = _setting(
-        2.0, 0.0, 1e6,
+        3.0, 0.0, 1e6,
         "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.",
         unit="standard deviations",
     )  # fmt: skip
@@ -80,12 +80,17 @@ class DenoiseSettings:
         0.33, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
+    change_threshold: float = _setting(
+        0.7, 1e-3, 1e6,
+        "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
+        unit="standard deviations",
+    )  # fmt: skip
     firefly_limit: float = _setting(
-        30.0, 1.0, 1e18,
+        20.0, 1.0, 1e18,
         "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.",
     )  # fmt: skip
     specular_sharpness: float = _setting(
-        3.0, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
+        4.0, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
     )
     plus_sigma_luminance: float = _setting(
         8.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",

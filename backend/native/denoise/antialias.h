@@ -19,11 +19,15 @@
 
 namespace svgf {
 
-// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture.
+// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has room
+// for as many of the noisy mean's own.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
-constexpr float still_frames = 32.0f;
+constexpr float still_frames = 24.0f;
+// Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at 4 %
+// more variance than the plain mean has.
+constexpr float still_rate = 1.25f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
-constexpr float still_margin = 0.05f;
+constexpr float still_margin = 0.02f;
 
 template <class Storage, int Signals>
 struct Antialias {
@@ -33,6 +37,8 @@ struct Antialias {
     const float* in_motion;
     int motion_channels;
     const float* in_signal[Signals];
+    const float* in_albedo[Signals][2];
+    typename Storage::Moments in_moments[Signals];  // of temporal
     const float* in_emission;
     float antialias_frames;
     typename Storage::Color out_history;
@@ -62,12 +68,16 @@ struct Antialias {
         const bool still = motion.x == 0.0f && motion.y == 0.0f && own_motion.x == 0.0f && own_motion.y == 0.0f;
         const bool settled = still && history.frames > still_frames - 0.5f;
         const Vec3 past = history.mapped, offset = past - box.mean;
-        const Vec3 extent = settled ? still_box * box.deviation + Vec3{still_margin, still_margin, still_margin}
-                                    : moving_box * box.deviation + Vec3{1e-6f, 1e-6f, 1e-6f};
+        float margin = 1e-6f;
+        if (settled) {
+            const float deviation = fast_sqrt(noise(pixel) / history.frames);
+            margin = still_margin + still_box * deviation / (box.white + max_component(own) + 1e-30f);
+        }
+        const Vec3 extent = (settled ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
         const float excess = max_component(abs(offset) / extent);
         if (settled && excess <= 1.0f) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
-            write(pixel, history.color + (noisy(pixel) - history.color) / frames, frames);
+            write(pixel, history.color + (noisy(pixel) - history.color) * (still_rate / frames), frames);
             return;
         }
         const float kept = settled ? 0.0f : history.frames;  // a still picture whose light changed starts afresh
@@ -145,6 +155,15 @@ private:
         if (in_emission) color = repair(load3(in_emission, pixel), repaired_before);
         for (int s = 0; s < Signals; ++s) color += repair(load3(in_signal[s], pixel), repaired_before);
         return color;
+    }
+
+    // Variance of the noisy frame's luminance, signals taken as independent.
+    SVGF_HD float noise(int pixel) const {
+        int repaired_before = 0;
+        float variance = 0.0f;
+        for (int s = 0; s < Signals; ++s)
+            variance += in_moments[s][pixel].y * square(luminance(signal_albedo(in_albedo[s], pixel, repaired_before)));
+        return variance;
     }
 
     // n + 1. Counts are kept in 9 bits: above 512 they go up by their spacing, with the odds that make it one on average.

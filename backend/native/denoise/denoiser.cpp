@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "denoise/denoiser.h"
 
+#include <algorithm>
+#include <type_traits>
 #include <utility>
 
 #include "denoise/antialias.h"
@@ -197,33 +199,33 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         borrowed_[0] = reinterpret_cast<std::byte*>(outputs.color);
         borrowed_[1] = resolved_.data();
         run_plus<Signals>(inputs, outputs);
-        return;
-    }
-    for (std::byte*& memory : borrowed_) memory = nullptr;
-    Place place = Place::working;
-    const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
-    if (is_temporal()) {
-        launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
-        variance<Method, Signals>();
-        for (int level = 0; level < levels(); ++level) {
-            const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
-            atrous<Method, Signals>(level, place, next);
-            place = next;
-        }
-        if (levels() == 0)  // the means themselves are the history
-            device_.copy(history_.data(), working_.data(), Signals * pixels() * Storage::color_bytes);
-        launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
-        moments_.swap(previous_moments_);
-        guides_.swap(previous_guides_);
-        has_history_ = true;
     } else {
-        launch("demodulate", demodulate_stage);
-        for (int level = 0; level < levels(); ++level) {
-            const Place next = place == Place::working ? Place::scratch : Place::working;
-            edge_avoiding<Signals>(level, inputs.window, place, next);
-            place = next;
+        for (std::byte*& memory : borrowed_) memory = nullptr;
+        Place place = Place::working;
+        const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
+        if (is_temporal()) {
+            launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            variance<Method, Signals>();
+            for (int level = 0; level < levels(); ++level) {
+                const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
+                atrous<Method, Signals>(level, place, next);
+                place = next;
+            }
+            if (levels() == 0)  // the means themselves are the history
+                device_.copy(history_.data(), working_.data(), Signals * pixels() * Storage::color_bytes);
+            launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
+            moments_.swap(previous_moments_);
+            guides_.swap(previous_guides_);
+            has_history_ = true;
+        } else {
+            launch("demodulate", demodulate_stage);
+            for (int level = 0; level < levels(); ++level) {
+                const Place next = place == Place::working ? Place::scratch : Place::working;
+                edge_avoiding<Signals>(level, inputs.window, place, next);
+                place = next;
+            }
+            launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
         }
-        launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
     }
 }
 
@@ -316,6 +318,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
     stage.reprojection = reprojection<Storage>(inputs);
     stage.history_frames = settings_.history_frames;
     stage.firefly_limit = settings_.firefly_limit;
+    stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
     for (int s = 0; s < Signals; ++s) {
@@ -342,7 +345,11 @@ void Denoiser::antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outp
     stage.has_history = has_history_ && has_resolved_;
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
-    for (int s = 0; s < Signals; ++s) stage.in_signal[s] = inputs.signal[s];
+    for (int s = 0; s < Signals; ++s) {
+        stage.in_signal[s] = inputs.signal[s];
+        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
+        stage.in_moments[s] = moments_of<Storage>(moments_, s);
+    }
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
     stage.out_history = {resolved_.data()};
@@ -524,10 +531,16 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             variance.values.push_back(c.w);
         }
     };
+    constexpr int moments_channels = sizeof(typename Storage::MomentsValue) / sizeof(float);
     const auto upload_moments = [&](Memory& to, int s, const HostImage& values) {
         std::vector<std::byte> memory(pixels * Storage::moments_bytes);
         const typename Storage::Moments moments{memory.data()};
-        for (size_t i = 0; i < pixels; ++i) moments.store(int(i), {values.values[2 * i], values.values[2 * i + 1]});
+        using Value = typename Storage::MomentsValue;
+        for (size_t i = 0; i < pixels; ++i) {
+            Value value;
+            std::copy_n(&values.values[i * moments_channels], moments_channels, &value.x);
+            moments.store(int(i), value);
+        }
         device_.upload(moments_of<Storage>(to, s).texels, memory.data(), memory.size());
     };
     const auto upload_guides = [&](const std::string& prefix, Memory& to, const std::string& length_name) {
@@ -618,7 +631,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
                 for (float& light : squares.values) light = square(light);
             }
             upload_color(Place::history, s, image(numbered("hist_color", s), 3), squares.values.empty() ? nullptr : &squares);
-            upload_moments(previous_moments_, s, image(numbered("hist_moments", s), 2));
+            upload_moments(previous_moments_, s, image(numbered("hist_moments", s), moments_channels));
         }
         Place means = Place::working;
         if constexpr (std::is_same_v<Method, Plus>) {
@@ -633,8 +646,11 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             std::vector<std::byte> memory(pixels * Storage::moments_bytes);
             device_.download(memory.data(), moments_of<Storage>(moments_, s).texels, memory.size());
             const typename Storage::Moments moments{memory.data()};
-            HostImage& values = result[numbered("moments", s)] = {2, {}};
-            for (size_t i = 0; i < pixels; ++i) values.values.insert(values.values.end(), {moments[int(i)].x, moments[int(i)].y});
+            HostImage& values = result[numbered("moments", s)] = {moments_channels, {}};
+            for (size_t i = 0; i < pixels; ++i) {
+                const auto value = moments[int(i)];
+                values.values.insert(values.values.end(), &value.x, &value.x + moments_channels);
+            }
         }
         HostImage& length = result["history_length"] = {1, {}};
         download_guides([&](const typename Storage::Guides& guides, int pixel) {
@@ -642,18 +658,22 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         });
         has_history_ = false;
     } else if (stage == "variance") {
-        temporal_only();
-        upload_guides("", guides_, "history_length");
-        for (int s = 0; s < Signals; ++s) {
-            const HostImage& moments = image(numbered("moments", s), 2);
-            HostImage variance{1, {}};
-            for (size_t i = 0; i < pixels; ++i)
-                variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
-            upload_moments(moments_, s, moments);
-            upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
+        if constexpr (!std::is_same_v<Method, Plus>) {
+            temporal_only();
+            upload_guides("", guides_, "history_length");
+            for (int s = 0; s < Signals; ++s) {
+                const HostImage& moments = image(numbered("moments", s), 2);
+                HostImage variance{1, {}};
+                for (size_t i = 0; i < pixels; ++i)
+                    variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
+                upload_moments(moments_, s, moments);
+                upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
+            }
+            variance<Method, Signals>();
+            for (int s = 0; s < Signals; ++s) download_color(Place::working, s, unused, result[numbered("variance", s)]);
+        } else {
+            throw InputError("The stage variance belongs to svgf alone.");
         }
-        variance<Method, Signals>();
-        for (int s = 0; s < Signals; ++s) download_color(Place::working, s, unused, result[numbered("variance", s)]);
     } else if (stage == "atrous") {
         const Place to = is_temporal() ? Place::history : Place::scratch;
         upload_guides("", guides_, "");
@@ -691,6 +711,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         if constexpr (std::is_same_v<Method, Plus>) {
             upload_guides("", guides_, "");
             upload_color(Place::spare, 0, image("unresolved", 3), nullptr);
+            for (int s = 0; s < Signals; ++s)
+                upload_moments(moments_, s, image(numbered("moments", s), moments_channels));
             has_history_ = has_resolved_ = given("resolved");
             if (has_history_) {
                 history_.swap(previous_resolved_);  // upload_color fills history

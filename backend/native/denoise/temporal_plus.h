@@ -14,6 +14,9 @@
 // - History is drawn towards the mean of the 3x3 samples where it is more than `history_clamp` standard deviations away
 //   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from its
 //   surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
+// - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far samples are from
+//   their history, in deviations, and spreads to the four pixels around. Noise averages out of it, a change adds up. Above
+//   `change_threshold` history gives way to the 3x3 samples, at 1.2 times that altogether.
 // - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
 //   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright sample
 //   in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
@@ -26,6 +29,8 @@
 
 namespace svgf {
 
+// Weight of a frame in the drift.
+constexpr float drift_rate = 0.3f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
 
@@ -34,8 +39,8 @@ struct TemporalPlus {
     Reprojection<Storage> reprojection;
     typename Storage::Color in_illumination[Signals];
     typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
-    typename Storage::Moments hist_moments[Signals];  // frames, variance of a sample
-    float history_frames, firefly_limit;
+    typename Storage::Moments hist_moments[Signals];
+    float history_frames, firefly_limit, change_threshold;
     float history_clamp[Signals];   // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
     typename Storage::Color out_color[Signals];  // with the variance of the mean
@@ -79,7 +84,7 @@ private:
     struct Mean {
         float weight = 0.0f;
         Vec3 color[Signals];
-        float frames[Signals] = {}, variance[Signals] = {}, filtered_light[Signals] = {};
+        float frames[Signals] = {}, variance[Signals] = {}, filtered_light[Signals] = {}, drift[Signals] = {};
     };
 
     // The pixels around that show the same surface.
@@ -96,7 +101,7 @@ private:
             old.weight += weight;
             const float share = weight / old.weight;
             for (int s = 0; s < Signals; ++s) {
-                const Vec2 moments = hist_moments[s][pixel];
+                const Vec3 moments = hist_moments[s][pixel];
                 const Vec4 color = hist_color[s][pixel];
                 old.color[s] += (color.xyz() - old.color[s]) * share;
                 old.filtered_light[s] += (fast_sqrt(color.w) - old.filtered_light[s]) * share;
@@ -105,9 +110,25 @@ private:
             }
         };
         reprojection.visit_bilinear(point, take);
-        if (old.weight >= least_tap_weight) return;
-        old = {};  // too little found
-        reprojection.visit_neighbours(point, take);
+        if (!(old.weight >= least_tap_weight)) {
+            old = {};  // too little found
+            reprojection.visit_neighbours(point, take);
+        }
+        if (old.weight > 0.0f) read_drift(int(std::floor(point.x + 0.5f)), int(std::floor(point.y + 0.5f)), old);
+    }
+
+    // Of a cross of five pixels, whatever they show.
+    SVGF_HD void read_drift(int x, int y, Mean& old) const {
+        const auto& guides = reprojection.guides;
+        for (int s = 0; s < Signals; ++s) {
+            float sum = 0.0f;
+            for (int tap = 0; tap < 5; ++tap) {
+                const int dx = tap == 1 ? -1 : tap == 2 ? 1 : 0, dy = tap == 3 ? -1 : tap == 4 ? 1 : 0;
+                sum += hist_moments[s].drift(guides.pixel(clamp(x + dx, 0, guides.width - 1),
+                                                             clamp(y + dy, 0, guides.height - 1)));
+            }
+            old.drift[s] = 0.2f * sum;
+        }
     }
 
     SVGF_HD void find_neighbours(int x, int y, Vec4 surface, Neighbours& near) const {
@@ -143,23 +164,32 @@ private:
         // A pixel without neighbours is as uncertain as it is bright.
         const float spread = near.count > 0 ? squares / float(near.count) : square(own_light);
 
-        float frames = old.frames[s] + 1.0f;
+        // Light that has changed.
+        const float kept_of_change = clamp(6.0f - 5.0f * std::fabs(old.drift[s]) / change_threshold, 0.0f, 1.0f);
+        Vec3 history = local + (old.color[s] - local) * kept_of_change;
+        const float old_frames = old.frames[s] * kept_of_change;
+
+        float frames = old_frames + 1.0f;
         if (moves) frames = min(frames, history_frames);
         const float variance = old.variance[s] + (spread - old.variance[s]) / frames;
-        Vec3 history = old.color[s];
+        float drift = 0.0f;
         if (has_history) {
+            const float deviation = fast_sqrt(max(variance, old.variance[s]));
+            const float residual = (own_light - luminance(history)) / (deviation + 1e-3f * local_light + 1e-30f);
+            drift = old.drift[s] * kept_of_change;
+            drift += (clamp(residual, -4.0f, 4.0f) - drift) * drift_rate;
             const float distance = std::fabs(luminance(history) - local_light);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;
             if (distance > allowed) {
                 const float kept = allowed / distance;
                 history = local + (history - local) * kept;
-                frames = max(old.frames[s] * kept, 1.0f) + 1.0f;
+                frames = max(old_frames * kept, 1.0f) + 1.0f;
                 if (moves) frames = min(frames, history_frames);
             }
         }
         const Vec3 mean = history + (sample - history) / frames;
         out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance / frames});
-        out_moments[s].store(pixel, {frames, variance});
+        out_moments[s].store(pixel, {frames, variance, drift});
         return frames;
     }
 

@@ -12,8 +12,9 @@ from .guides import namespace, tap
 # Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
 MOVING_BOX = 1.0
 STILL_BOX = 4.0
-STILL_MARGIN = 0.05
-STILL_FRAMES = 32.0
+STILL_MARGIN = 0.02
+STILL_FRAMES = 24.0
+STILL_RATE = 1.25
 # Of the brightest of the 3x3 pixels: what black counts for in their geometric mean.
 BLACK = 1e-3
 
@@ -26,8 +27,11 @@ class Resolved:
     frames: Any
 
 
-def antialias(color: Any, noisy: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any) -> Resolved:
-    """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired. depth [H, W]. motion [H, W, 2 or
+def antialias(
+    color: Any, noisy: Any, noise: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
+) -> Resolved:
+    """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired;
+    noise [H, W]: the variance of its luminance. depth [H, W]. motion [H, W, 2 or
     3], None: nothing moved."""
     xp = namespace(color)
     height, width = depth.shape
@@ -76,7 +80,9 @@ def antialias(color: Any, noisy: Any, depth: Any, motion: Any, history: Resolved
     known = frames > 0.5
     still = known & (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
     settled = still & (frames > STILL_FRAMES - 0.5)
-    extent = xp.where(settled[..., None], STILL_BOX * deviation + STILL_MARGIN, MOVING_BOX * deviation + 1e-6)
+    uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
+    margin = xp.where(settled, STILL_MARGIN + uncertain, 1e-6)[..., None]
+    extent = xp.where(settled[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
     excess = (xp.abs(past - mean) / extent).max(axis=-1)
     goes_on = settled & (excess <= 1.0)
     kept = xp.where(settled & ~goes_on, 0.0, frames)
@@ -85,7 +91,7 @@ def antialias(color: Any, noisy: Any, depth: Any, motion: Any, history: Resolved
     n = xp.where(known, n, 1.0)
     resolved = unmap(clipped + (map_(color) - clipped) / n[..., None])
     resolved = xp.where(known[..., None], resolved, color)
-    resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) / n[..., None], resolved)
+    resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) * (STILL_RATE / n[..., None]), resolved)
     return Resolved(resolved, n)
 
 

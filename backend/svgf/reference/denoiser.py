@@ -117,9 +117,9 @@ class Denoiser:
         self._repaired = repaired + count
         if self.method == "svgf+" and self.settings.antialias_frames > 1.0:
             with timed("antialias"):
-                noisy = self._noisy(inputs, signals)
+                noisy, noise = self._noisy(inputs, signals), _noise(albedo, self.history.variance)
                 self.resolved = antialias(
-                    radiance, noisy, guides.depth, inputs.get("motion"), self.resolved, self.settings
+                    radiance, noisy, noise, guides.depth, inputs.get("motion"), self.resolved, self.settings
                 )
             radiance = self.resolved.color
         return {"color": radiance, "variance": spread, "history_length": length}
@@ -129,12 +129,12 @@ class Denoiser:
 
         demodulate: the public images -> illumination0, guides.
         temporal: illumination0, guides, motion, and unless there is no history prev_ + guides, hist_color0,
-            hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames and variance,
+            hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames, variance and drift,
             hist_filtered0 the luminance after the filter, variance0 goes with color0; signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
         atrous: color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.
-        antialias: unresolved, the public images, depth, motion, resolved, resolved_frames -> color, resolved_frames.
+        antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames -> color, resolved_frames.
         guides: normal, depth, depth_gradient, object_id.
         """
         signals = [signal for signal in SIGNAL_ALBEDOS if signal in arrays]
@@ -150,8 +150,10 @@ class Denoiser:
             return {"color": radiance, "variance": spread}
         if name == "antialias":
             history = Resolved(arrays["resolved"], arrays["resolved_frames"]) if "resolved" in arrays else None
+            variances = [moments[..., 1] for moments in _listed(arrays, "moments")]
+            noise = _noise([self._albedo(arrays, signal)[0] for signal in signals], variances)
             new = antialias(
-                arrays["unresolved"], self._noisy(arrays, signals), arrays["depth"], arrays.get("motion"), history,
+                arrays["unresolved"], self._noisy(arrays, signals), noise, arrays["depth"], arrays.get("motion"), history,
                 self.settings,
             )  # fmt: skip
             return {"color": new.color, "resolved_frames": new.frames}
@@ -196,6 +198,7 @@ class Denoiser:
                 _listed(arrays, "hist_color"),
                 [m[..., 0] for m in moments],
                 [m[..., 1] for m in moments],
+                [m[..., 2] for m in moments],
                 _listed(arrays, "hist_filtered"),
                 _guides(arrays, "prev_"),
             )
@@ -204,7 +207,7 @@ class Denoiser:
             illumination, [False, True][: len(illumination)], guides, arrays.get("motion"), history, self.settings
         )
         xp = namespace(guides.depth)
-        moments = [xp.stack([n, v], axis=-1) for n, v in zip(new.frames, new.variance, strict=True)]
+        moments = [xp.stack(m, axis=-1) for m in zip(new.frames, new.variance, new.drift, strict=True)]
         return {
             **_numbered("color", new.color),
             **_numbered("variance", spread),
@@ -232,6 +235,11 @@ class Denoiser:
     def _albedo(self, inputs: dict[str, Any], signal: str) -> tuple[Any, int]:
         given = [inputs[name] for name in SIGNAL_ALBEDOS[signal] if name in inputs]
         return signal_albedo(given, (self.height, self.width, 3), namespace(inputs[signal]))
+
+
+def _noise(albedos: list[Any], variances: list[Any]) -> Any:
+    """Variance of a noisy frame's luminance, signals taken as independent."""
+    return sum(variance * luminance(albedo) ** 2 for albedo, variance in zip(albedos, variances, strict=True))
 
 
 def _specular(signals: list[str]) -> list[bool]:

@@ -12,6 +12,9 @@ from .reprojection import LEAST_TAP_WEIGHT, Reprojection, reproject
 
 # What the neighbours' mean, without the brightest, counts for beside history.
 NEIGHBOUR_SHARE = 0.1
+# Weight of a frame in the drift, and how far it counts one sample, in standard deviations.
+DRIFT_RATE = 0.3
+LARGEST_RESIDUAL = 4.0
 # Of the local brightness: history may be off by this much whatever the variance.
 CLAMP_MARGIN = 1e-4
 
@@ -19,11 +22,13 @@ CLAMP_MARGIN = 1e-4
 @dataclass(frozen=True, eq=False)
 class HistoryPlus:
     """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W] of
-    a sample's luminance and the luminance [H, W] after the filter; the guides they belong to."""
+    a sample's luminance, the drift [H, W] of samples from history in deviations, and the luminance [H, W] after the filter;
+    the guides they belong to."""
 
     color: list[Any]
     frames: list[Any]
     variance: list[Any]
+    drift: list[Any]
     filtered: list[Any]
     guides: Guides
 
@@ -54,6 +59,7 @@ def temporal_plus(
     surface = guides.surface
     none = [xp.zeros(shape) for _ in illumination]
     old_color, old_frames, old_variance, expected = [xp.zeros((*shape, 3)) for _ in illumination], none, none, none
+    drifts = none
     found, moves, repaired = xp.zeros(shape, bool), xp.zeros(shape, bool), 0
     if history is not None:
         point = reproject(guides, history.guides, motion, settings)
@@ -61,10 +67,11 @@ def temporal_plus(
         rows, columns = xp.meshgrid(xp.arange(shape[0]), xp.arange(shape[1]), indexing="ij")
         moves = point.reachable & ((point.x != columns) | (point.y != rows))
         found, (old_color, old_frames, old_variance, expected) = _read(point, history)
+        drifts = [xp.where(found, _around(point, image), 0.0) for image in history.drift]
 
     near = _neighbours(illumination, guides, settings.normal_tolerance)
     count = sum(same for same, _ in near)
-    colors, frames, variances, spreads = [], [], [], []
+    colors, frames, variances, new_drifts, spreads = [], [], [], [], []
     fireflies, cut = 0, 0.0
     for s, new in enumerate(illumination):
         # The limit, by what history and the neighbours say.
@@ -88,25 +95,34 @@ def temporal_plus(
             squares = squares + xp.where(same, (luminance(color) - mean_light) ** 2, 0.0)
         spread = xp.where(count > 0, squares / xp.maximum(count, 1), luminance(sample) ** 2)
 
-        n = old_frames[s] + 1.0
+        # Light that has changed.
+        kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / settings.change_threshold, 0.0, 1.0)
+        changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
+        left = old_frames[s] * kept_of_change
+        n = left + 1.0
         n = xp.where(moves, xp.minimum(n, settings.history_frames), n)
         variance = old_variance[s] + (spread - old_variance[s]) / n
+        deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
+        residual = (luminance(sample) - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
+        drift = drifts[s] * kept_of_change
+        drift = drift + (xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL) - drift) * DRIFT_RATE
         # History that is too far from the samples is drawn to them, and counts as shorter.
         sharper = 1.0 / settings.specular_sharpness if is_specular[s] else 1.0
-        distance = xp.abs(luminance(old_color[s]) - mean_light)
+        distance = xp.abs(luminance(changed) - mean_light)
         clamp = settings.specular_history_clamp if is_specular[s] else settings.history_clamp
         allowed = clamp * xp.sqrt(variance) + CLAMP_MARGIN * mean_light
         far = found & (distance > allowed)
         kept = xp.where(far, allowed / xp.where(far, distance, 1.0), 1.0)
-        past = xp.where(far[..., None], mean + (old_color[s] - mean) * kept[..., None], old_color[s])
-        shorter = xp.maximum(old_frames[s] * kept, 1.0) + 1.0
+        past = xp.where(far[..., None], mean + (changed - mean) * kept[..., None], changed)
+        shorter = xp.maximum(left * kept, 1.0) + 1.0
         n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.history_frames), shorter), n)
 
         colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
         frames.append(xp.where(surface, n, 0.0))
+        new_drifts.append(xp.where(surface & found, drift, 0.0))
         variances.append(xp.where(surface, variance, 0.0))
         spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
-    return HistoryPlus(colors, frames, variances, none, guides), spreads, Fireflies(fireflies, cut), repaired
+    return HistoryPlus(colors, frames, variances, new_drifts, none, guides), spreads, Fireflies(fireflies, cut), repaired
 
 
 def _limited(color: Any, limit: Any) -> Any:
@@ -127,6 +143,15 @@ def _neighbours(illumination: list[Any], guides: Guides, normal_tolerance: float
             same &= (normal * guides.normal).sum(axis=-1) >= normal_tolerance
             result.append((same, colors))
     return result
+
+
+def _around(point: Reprojection, image: Any) -> Any:
+    """The mean of a cross of five pixels around the nearest one, whatever they show."""
+    xp = namespace(image)
+    height, width = image.shape
+    x, y = xp.floor(point.x + 0.5).astype(int), xp.floor(point.y + 0.5).astype(int)
+    cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+    return sum(image[xp.clip(y + dy, 0, height - 1), xp.clip(x + dx, 0, width - 1)] for dx, dy in cross) / len(cross)
 
 
 def _read(point: Reprojection, history: HistoryPlus) -> tuple[Any, tuple[list[Any], ...]]:
