@@ -86,7 +86,7 @@ private:
             Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
             if (max_component(surface.emission) > 0.0f) add_emission(path, surface, ray, hit, light);
             if constexpr (has_alpha) {
-                // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
+                // As in Cycles: the surface after the last that may be passed only shines, and one may always be.
                 if (path.transparent_bounces >= max(limits.transparent_bounces, 1)) return;
                 if (max_component(surface.straight) > 0.0f) {
                     // The same ray goes on, so that what it finds has the density with which it was sampled.
