@@ -185,10 +185,10 @@ def test_glass_within_glass(device):
         for radius, glass in zip((0.9, 0.6, 0.3), glasses, strict=True)
     ]
     scene = scenes.build(balls, scenes.camera((0, -3, 0.3), (0, 0, 0)), world=World((1, 1, 1)))
-    scene = dataclasses.replace(scene, defaults=dataclasses.replace(scene.defaults, bounces=24))
-    frame = render(device, scene, dataclasses.replace(SMALL, samples=8, method="none"))
+    frame = render(device, scene, dataclasses.replace(SMALL, bounces=48, samples=8, method="none"))
     body = frame.object_id > 0
-    assert 0.5 < frame.noisy[body].mean() <= 1.02
+    # Some paths are caught between the surfaces until their bounces are used up.
+    assert 0.8 < frame.noisy[body].mean() <= 1.02
 
 
 @pytest.mark.parametrize("power", [1e6, 1e12])
