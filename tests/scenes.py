@@ -335,8 +335,8 @@ def textured_light_scene() -> Scene:
 
 
 def cutout_scene() -> Scene:
-    """A floor with a lamp behind panes: tinted, half transparent, and one that an image cuts holes into; the camera looks
-    through one of them too."""
+    """A floor with a lamp behind panes: tinted, half transparent, and one that an image cuts holes into; the camera
+    looks through one of them too."""
     tinted = Material("tinted", kind=MaterialKind.TRANSPARENT, base_color=(0.9, 0.3, 0.2))
     half = Material("half", base_color=(0.2, 0.4, 0.8), alpha=0.4, specular_ior_level=0.0)
     holes = Material("holes", base_color=(0.3, 0.7, 0.3), specular_ior_level=0.0, maps={"alpha": TextureMap(0)})
@@ -348,9 +348,8 @@ def cutout_scene() -> Scene:
         (sphere(0.3, rows=8), transform((0.3, 0.3, 0.3)), [GLOSSY]),
     ]
     light = lamp(LightKind.RECTANGLE, eye=(0.2, 0, 2.0), target=(0, 0, 0))
-    return build(
-        objects, camera((0.5, -3.0, 2.5), (0, 0, 0.3)), [light], textures=[checker_texture()], world=World((0.2, 0.3, 0.4))
-    )
+    view, world = camera((0.5, -3.0, 2.5), (0, 0, 0.3)), World((0.2, 0.3, 0.4))
+    return build(objects, view, [light], textures=[checker_texture()], world=world)
 
 
 def visibility_scene() -> Scene:

@@ -54,7 +54,7 @@ def test_all_but_combined_passes_through_untouched(tmp_path: Path, version: str,
                 assert pixels.dtype == channel.pixels.dtype
                 same = pixels.tobytes() == channel.pixels.tobytes()
                 assert same != (".Combined." in name and not name.endswith(".A")), name
-        assert written.parts[0].header["svgf.method"] == "svgf"
+        assert written.parts[0].header["svgf.method"] == "svgf+"
         assert written.parts[0].header["svgf.Other.Layer.signals"] == "diffuse, specular"
 
 

@@ -68,7 +68,7 @@ def test_constant_radiance_is_a_fixed_point(device, method):
 @pytest.mark.parametrize(("alpha", "frames"), [(0.0, 12), (0.2, 5)])
 def test_a_still_view_is_the_mean_of_its_frames(device, alpha, frames):
     rng = np.random.default_rng(1)
-    denoiser = Denoiser(WIDTH, HEIGHT, device, settings=DenoiseSettings(alpha=alpha, levels=0))
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf", settings=DenoiseSettings(alpha=alpha, levels=0))
     noisy = [add_noise(make_frame(), rng) for _ in range(frames)]
     for frame in noisy:
         result = denoiser.denoise(frame)
@@ -119,8 +119,8 @@ def test_signals_are_filtered_apart(device):
     frame = make_frame()
     frame["specular_albedo"] = np.ones_like(frame["diffuse"])
     frame["specular"] = np.zeros_like(frame["diffuse"])
-    two = Denoiser(WIDTH, HEIGHT, device)
-    one = Denoiser(WIDTH, HEIGHT, device)
+    two = Denoiser(WIDTH, HEIGHT, device, "svgf")
+    one = Denoiser(WIDTH, HEIGHT, device, "svgf")
     for _ in range(3):
         noisy = add_noise(frame, rng)
         both = two.denoise(noisy)
@@ -162,7 +162,7 @@ def test_noise_is_reduced(device):
 
 def test_history_follows_the_camera(device):
     """Everything moves by a fraction of a pixel and away from the camera; only what enters the frame is new."""
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     frame = make_frame()
     for step in range(5):
         frame["depth"][:] = 10.0 + step
@@ -175,7 +175,7 @@ def test_depth_is_expected_where_motion_says(device):
     """The same step away without expected depth in the motion: the depth test must refuse, unless it is unknown."""
     lengths = {}
     for name, motion, step in (("known", [0, 0, -1], 1.0), ("wrong", [0, 0, 0], 1.0), ("unknown", [0, 0], 0.5)):
-        denoiser = Denoiser(WIDTH, HEIGHT, device)
+        denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
         frame = make_frame()
         denoiser.denoise(frame)
         frame["depth"][:] += step
@@ -188,7 +188,7 @@ def test_depth_is_expected_where_motion_says(device):
 
 
 def test_a_camera_cut_leaves_no_ghost(device):
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     assert denoiser.last_reset == ""
     for _ in range(5):
         denoiser.denoise(put_square(make_frame(radiance=8.0), 15, 40.0))
@@ -202,7 +202,7 @@ def test_a_camera_cut_leaves_no_ghost(device):
 
 
 def test_a_moved_object_leaves_no_ghost(device):
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     wall = make_frame()
     for _ in range(5):
         denoiser.denoise(put_square(wall, 8))
@@ -217,7 +217,7 @@ def test_a_moved_object_leaves_no_ghost(device):
 
 
 def test_a_turned_surface_leaves_no_ghost(device):
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     for _ in range(3):
         denoiser.denoise(make_frame(radiance=8.0))
     frame = make_frame(radiance=1.0)
@@ -226,7 +226,7 @@ def test_a_turned_surface_leaves_no_ghost(device):
 
 
 def test_other_signals_mean_another_history(device):
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     frame = make_frame()
     denoiser.denoise(frame)
     frame["direct"] = frame.pop("diffuse")
@@ -236,7 +236,7 @@ def test_other_signals_mean_another_history(device):
 
 
 def test_settings_change_between_frames(device):
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     denoiser.denoise(make_frame())
     denoiser.settings = DenoiseSettings(levels=2)
     assert (denoiser.denoise(make_frame())["history_length"] == 2.0).all()
@@ -319,7 +319,7 @@ def test_everything_bad_at_once_stays_finite(device, method):
 def test_overflow_of_squares(device):
     """Radiance whose square no float holds in half precision, and whose fourth power none holds at all."""
     frame = make_frame(radiance=1e12)
-    denoiser = Denoiser(WIDTH, HEIGHT, device)
+    denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
     rng = np.random.default_rng(9)
     for _ in range(6):
         result = denoiser.denoise(add_noise(frame, rng))
@@ -334,7 +334,7 @@ def test_the_scale_of_the_scene_does_not_matter(device, scale):
     frames = [add_noise(put_square(make_frame(), 15), rng) for _ in range(3)]
     results = []
     for factor in (1.0, scale):
-        denoiser = Denoiser(WIDTH, HEIGHT, device)
+        denoiser = Denoiser(WIDTH, HEIGHT, device, "svgf")
         for frame in frames:
             result = denoiser.denoise({**frame, "depth": frame["depth"] * np.float32(factor)})
         results.append(result)
@@ -368,7 +368,7 @@ def change(frame, **images):
 )
 def test_inputs_are_checked(device, images, message):
     with pytest.raises(InputError, match=message):
-        Denoiser(WIDTH, HEIGHT, device).denoise(change(make_frame(), **images))
+        Denoiser(WIDTH, HEIGHT, device, "svgf").denoise(change(make_frame(), **images))
 
 
 def test_inputs_are_taken_as_they_come(device):
@@ -379,15 +379,15 @@ def test_inputs_are_taken_as_they_come(device):
     frame["object_id"] = frame["object_id"].astype(np.int64)
     frame["roughness"] = np.ones((HEIGHT, WIDTH), np.float32)
     frame = change(frame, emission=None, depth_gradient=None)
-    np.testing.assert_allclose(Denoiser(WIDTH, HEIGHT, device).denoise(frame)["color"], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(Denoiser(WIDTH, HEIGHT, device, "svgf").denoise(frame)["color"], 0.5, rtol=1e-5)
     frame = change(frame, object_id=None, diffuse=None, diffuse_albedo=None, color=frame["diffuse"])
-    np.testing.assert_allclose(Denoiser(WIDTH, HEIGHT, device).denoise(frame)["color"], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(Denoiser(WIDTH, HEIGHT, device, "svgf").denoise(frame)["color"], 0.5, rtol=1e-5)
 
 
 def test_inputs_are_not_changed(device):
     frame = add_noise(make_frame(), np.random.default_rng(11))
     before = {name: image.copy() for name, image in frame.items()}
-    Denoiser(WIDTH, HEIGHT, device).denoise(frame)
+    Denoiser(WIDTH, HEIGHT, device, "svgf").denoise(frame)
     for name, image in frame.items():
         np.testing.assert_array_equal(image, before[name])
 
@@ -399,7 +399,7 @@ def test_sizes_are_checked(width, height):
 
 
 def test_methods_are_checked():
-    with pytest.raises(InputError, match='Did you mean "svgf"'):
+    with pytest.raises(InputError, match='Did you mean "svgf'):
         Denoiser(8, 8, "reference", method="svg")
 
 

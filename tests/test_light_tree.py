@@ -24,9 +24,10 @@ def random_bounds(count: int, seed: int = 0) -> LightBounds:
     rng = np.random.default_rng(seed)
     low = rng.uniform(-3, 3, (count, 3))
     axis = rng.normal(size=(count, 3))
+    high = low + rng.uniform(0, 0.4, (count, 3))
     return LightBounds(
-        low=low,
-        high=low + rng.uniform(0, 0.4, (count, 3)),
+        low=low.astype(np.float32).astype(float),
+        high=high.astype(np.float32).astype(float),
         axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
         cos_normals=rng.choice([1.0, 0.5, -1.0], count),
         cos_emission=rng.choice([0.0, 0.7], count),
@@ -63,7 +64,8 @@ def test_nodes_bound_what_is_below_them(seed):
             angle = np.arccos(np.clip(nodes[child, 6:9] @ parent[6:9], -1, 1))
             if parent[11] < 0:
                 angle = min(angle, np.pi - angle)
-            assert min(angle + np.arccos(nodes[child, 9]), np.pi) <= np.arccos(parent[9]) + 1e-6
+            # Cosines near 1, rounded to float32, are off by so much; the importance widens its angles by more.
+            assert min(angle + np.arccos(nodes[child, 9]), np.pi) <= np.arccos(parent[9]) + 8e-4
             assert parent[10] <= nodes[child, 10]
             # Through a larger box and a wider cone a point sees at least as well.
             assert (light_importance(np.tile(parent, (64, 1)), points, normals) > 0)[reaches].all()

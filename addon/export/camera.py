@@ -65,11 +65,11 @@ def export_camera(
         window=window(data, *size, (render.pixel_aspect_x, render.pixel_aspect_y)),
         clip=(data.clip_start, data.clip_end),
         projection=Projection.ORTHOGRAPHIC if data.type == "ORTHO" else Projection.PERSPECTIVE,
-        aperture=_aperture(camera),
+        aperture=export_aperture(camera),
     )
 
 
-def _aperture(camera: bpy.types.Object) -> Aperture:
+def export_aperture(camera: bpy.types.Object) -> Aperture:
     """As Cycles has it: the f-number divides the focal length, in millimetres, or 1 m for parallel rays."""
     data, lens = camera.data, camera.data.dof
     if not lens.use_dof or lens.aperture_fstop <= 0:

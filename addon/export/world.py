@@ -32,7 +32,9 @@ def export_world(
     if world is None:
         return World(), None
     _find_unsupported(world, findings)
-    visibility = ray_visibility(world.cycles_visibility, "") if hasattr(world, "cycles_visibility") else World.visibility
+    visibility = World.visibility
+    if hasattr(world, "cycles_visibility"):
+        visibility = ray_visibility(world.cycles_visibility, "")
     if not has_nodes(world):
         return World(_color(world.color), visibility=visibility), None
     output = world.node_tree.get_output_node("CYCLES")

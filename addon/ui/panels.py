@@ -26,6 +26,10 @@ _BORROWED = {
 }
 
 
+# Settings of denoisers that are for artists; the others are the papers' own.
+_EVERYDAY = {"levels", "history_frames", "firefly_limit"}
+# Settings of svgf that svgf+ reads too.
+_SHARED = {"sigma_depth", "depth_tolerance", "normal_tolerance"}
 _OWN_LIGHT_PATHS = ("bounces", None, *(item.name for item in fields(LightPaths)))
 _CYCLES_LIGHT_PATHS = (
     *("max_bounces", None, "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces"),
@@ -112,8 +116,12 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
             return
         column.prop(settings, "signals")
         for item in fields(DenoiseSettings):
-            if _is_everyday(item):
+            if item.name in _EVERYDAY and _is_read_by(settings.method, item):
                 column.prop(settings.denoise, item.name)
+            if item.name == "history_frames" and _is_read_by(settings.method, item):
+                render = context.scene.render
+                seconds = settings.denoise.history_frames * render.fps_base / render.fps
+                column.label(text=f"{seconds:.2f} s of history in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
@@ -126,13 +134,12 @@ class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.scene.svgf.method != "none"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        wavelets = context.scene.svgf.method == "eaw"
+        settings, column = context.scene.svgf, self.columns()
         for item in fields(DenoiseSettings):
-            if not _is_everyday(item) and item.name.startswith("eaw_") == wavelets:
+            if item.name not in _EVERYDAY and _is_read_by(settings.method, item):
                 symbol = item.metadata["symbol"]
-                name = context.scene.svgf.denoise.bl_rna.properties[item.name].name
-                column.prop(context.scene.svgf.denoise, item.name, text=f"{name} ({symbol})" if symbol else name)
+                name = settings.denoise.bl_rna.properties[item.name].name
+                column.prop(settings.denoise, item.name, text=f"{name} ({symbol})" if symbol else name)
 
 
 class SVGF_PT_viewport(EnginePanel, bpy.types.Panel):
@@ -172,9 +179,15 @@ def _list_properties(column: bpy.types.UILayout, owner: bpy.types.bpy_struct, na
         column.separator() if name is None else column.prop(owner, name)
 
 
-def _is_everyday(item: Field) -> bool:
-    """Whether a denoiser's setting is for artists; the others are the papers' own."""
-    return item.name == "levels" or item.name.startswith("history")
+def _is_read_by(method: str, item: Field) -> bool:
+    """Whether a method of denoising reads one of the settings."""
+    if item.name == "levels":
+        return True
+    if item.name.startswith("eaw_"):
+        return method == "eaw"
+    if item.metadata["meaning"].startswith("svgf+:"):
+        return method == "svgf+"
+    return method == "svgf" or (method == "svgf+" and item.name in _SHARED)
 
 
 _PANELS = (

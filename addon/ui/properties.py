@@ -23,6 +23,11 @@ _LARGEST_INT = 2**31 - 1  # of Blender's integer properties
 
 # Blender stores the number of a choice in the file: numbers are never given to another one.
 _METHODS = {
+    "svgf+": (
+        "SVGF+",
+        "Spatiotemporal variance-guided filtering, improved: fireflies, lag, anti-aliasing, still views that converge",
+        3,
+    ),
     "svgf": (
         "SVGF",
         "Spatiotemporal variance-guided filtering [Schied17]: history and a filter as wide as the noise asks for",

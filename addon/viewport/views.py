@@ -8,10 +8,13 @@ import math
 import time
 import traceback
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 from svgf.errors import Error
+from svgf.scene import Aperture
 
+from ..export.camera import export_aperture
 from ..export.exporter import render_defaults
 from .camera import View, border_in_frame, cut_out, view_camera
 from .draw import PictureTexture
@@ -128,15 +131,16 @@ def _show(
 def _view(context: bpy.types.Context, scene: bpy.types.Scene, size: tuple[int, int]) -> View:
     """size: of the whole view, in pixels."""
     space, region_view = context.space_data, context.region_data
-    clip, border = (space.clip_start, space.clip_end), WHOLE
+    clip, border, aperture = (space.clip_start, space.clip_end), WHOLE, Aperture()
     if region_view.view_perspective == "CAMERA" and space.camera is not None and space.camera.type == "CAMERA":
         data, render = space.camera.data, scene.render
-        clip = data.clip_start, data.clip_end
+        clip, aperture = (data.clip_start, data.clip_end), export_aperture(space.camera)
         if render.use_border:
             border = border_in_frame(region_view.window_matrix, data.view_frame(scene=scene), _border(render))
     elif space.use_render_border:
         border = _border(space)
-    return cut_out(view_camera(region_view.view_matrix, region_view.window_matrix, clip), size, border)
+    camera = view_camera(region_view.view_matrix, region_view.window_matrix, clip)
+    return cut_out(replace(camera, aperture=aperture), size, border)
 
 
 def _border(owner: bpy.types.RenderSettings | bpy.types.SpaceView3D) -> Part:

@@ -260,7 +260,7 @@ class Worker:
             self._mean = self._mean + difference / samples
             self._squares = self._squares + (difference @ _LUMINANCE) * ((color - self._mean) @ _LUMINANCE)
         variance = self._squares / max(samples * (samples - 1), 1)
-        return replace(frame, color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
+        return frame.with_images(color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""

@@ -191,11 +191,14 @@ nb::object to_numpy(Device& device, nb::object image) {
         const size_t shape[3] = {size_t(source.height), size_t(source.width), size_t(source.channels)};
         return std::visit(
             [&](const auto& pixels) {
-                auto values = [&] {
+                using Value = std::remove_const_t<std::remove_pointer_t<decltype(pixels.data())>>;
+                auto* owner = new std::shared_ptr<void>(device.host_memory(pixels.bytes()));
+                nb::capsule capsule(owner, [](void* memory) noexcept { delete static_cast<std::shared_ptr<void>*>(memory); });
+                {
                     nb::gil_scoped_release release;
-                    return pixels.download();
-                }();
-                return numpy_image(std::move(values), source.channels == 1 ? 2 : 3, shape);
+                    device.download(owner->get(), pixels.data(), pixels.bytes());
+                }
+                return nb::cast(nb::ndarray<nb::numpy, Value>(owner->get(), source.channels == 1 ? 2 : 3, shape, capsule));
             },
             source.pixels);
     }
@@ -213,6 +216,14 @@ std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, Host
                               span_of(uvs),       span_of(material_slots), span_of(previous_positions)};
     nb::gil_scoped_release release;
     return std::make_shared<Mesh>(device, arrays);
+}
+
+bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArray<float> normals,
+                HostArray<float> previous_positions) {
+    const Mesh::Arrays arrays{.positions = span_of(positions), .triangles = {}, .normals = span_of(normals), .uvs = {},
+                              .material_slots = {}, .previous_positions = span_of(previous_positions)};
+    nb::gil_scoped_release release;
+    return mesh.refit(device, arrays);
 }
 
 std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
@@ -295,7 +306,7 @@ Choice choose(const std::string& value, const char* what, std::initializer_list<
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
                uint32_t effects, const std::string& pixel_filter, const std::string& signals,
-               const std::vector<double>& light_paths, bool transparent_film) {
+               const std::vector<double>& light_paths, bool transparent_film, uint32_t kernel) {
     const Tracer::Frame frame{
         .width = width,
         .height = height,
@@ -305,6 +316,7 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
         .light_paths = read_light_paths(bounces, light_paths),
         .transparent_film = transparent_film,
         .effects = effects,
+        .kernel = kernel,
         .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
                                             {{"box", PixelFilter::box}, {"center", PixelFilter::center}}),
         .signals = choose<Signals>(signals, "split into signals",
@@ -315,6 +327,21 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
     {
         nb::gil_scoped_release release;
         images = tracer.trace(frame);
+    }
+    nb::dict result;
+    for (auto& image : images)
+        result[image.name.c_str()] = std::visit(
+            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
+    return result;
+}
+
+nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
+    if (rays.ndim() != 3 || rays.shape(2) != 8) throw InputError("Rays must be [H, W, 8].");
+    const int height = int(rays.shape(0)), width = int(rays.shape(1));
+    std::vector<Image> images;
+    {
+        nb::gil_scoped_release release;
+        images = tracer.cast(span_of(rays), width, height, any_hit);
     }
     nb::dict result;
     for (auto& image : images)
@@ -431,6 +458,11 @@ NB_MODULE(SVGF_MODULE, module) {
         for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
         return devices;
     }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
+    module.def("kernels", [] {
+        std::vector<uint32_t> kernels;
+        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
+        return kernels;
+    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame runs.");
     module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
@@ -445,16 +477,16 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Device>(module, "Device")
         .def(nb::new_([](int index) { return std::make_shared<Device>(index); }), "index"_a = 0)
-        .def("take_timings", [](Device& device) {
+        .def("take_timings", [](Device& device, bool by_launch) {
             std::vector<std::pair<std::string, double>> timings;
             {
                 nb::gil_scoped_release release;
-                timings = device.take_timings();
+                timings = device.take_timings(by_launch);
             }
             nb::dict result;
             for (const auto& [name, milliseconds] : timings) result[name.c_str()] = milliseconds;
             return result;
-        })
+        }, "by_launch"_a = false)
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
@@ -478,6 +510,7 @@ NB_MODULE(SVGF_MODULE, module) {
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
              "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
+        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a)
         .def_prop_ro("bytes", &Mesh::bytes);
 
     nb::class_<Texture>(module, "Texture")
@@ -504,7 +537,9 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
              "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false);
+             "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false,
+             "kernel"_a = 0)
+        .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,
@@ -519,6 +554,10 @@ NB_MODULE(SVGF_MODULE, module) {
         }, "settings"_a)
         .def("stage", &run_stage, "name"_a, "arrays"_a, "level"_a = 0)
         .def("repaired", &Denoiser::repaired, nb::call_guard<nb::gil_scoped_release>())
+        .def("fireflies", [](const Denoiser& denoiser) {
+            const FireflyCount count = denoiser.fireflies();
+            return std::pair(count.samples, double(count.light) / light_units);
+        }, "Samples of the last frame that svgf+ scaled down, and the luminance over albedo that was cut, over all pixels.")
         .def("traffic", [](const Denoiser& denoiser) {
             nb::dict result;
             for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;

@@ -48,8 +48,8 @@ _LEGACY_STREAM = 1
 class Denoiser:
     """Denoises the frames of one view, one after the other.
 
-    width, height: of the images, pixels. device: a name for ``open_device``, or an opened Device. method: "svgf"
-    [Schied17], which reuses the frames before, "eaw" [Dammertz10] or "none". settings: see DenoiseSettings; may be set
+    width, height: of the images, pixels. device: a name for ``open_device``, or an opened Device. method: "svgf+",
+    ours, "svgf" [Schied17], both of which reuse the frames before, "eaw" [Dammertz10] or "none". settings: see DenoiseSettings; may be set
     again between frames.
 
     Raises InputError, DeviceError, OutOfMemory.
@@ -60,7 +60,7 @@ class Denoiser:
         width: int,
         height: int,
         device: str | Device = "auto",
-        method: str = "svgf",
+        method: str = "svgf+",
         settings: DenoiseSettings | None = None,
     ) -> None:
         for name, value in (("width", width), ("height", height)):
@@ -102,6 +102,13 @@ class Denoiser:
     def repaired(self) -> int:
         """How many values of the last frame were NaN, infinite or out of range. Waits for the device."""
         return int(self._native.repaired())
+
+    @property
+    def fireflies(self) -> tuple[int, float]:
+        """svgf+: how many samples of the last frame were scaled down to the firefly limit, and the light that was cut from
+        them: luminance over albedo, summed over the pixels. Waits for the device."""
+        samples, light = self._native.fireflies()
+        return int(samples), float(light)
 
     def denoise(self, inputs: Mapping[str, Any], stream: Any = None) -> dict[str, Any]:
         """Denoises the next frame.
@@ -165,7 +172,7 @@ class Denoiser:
                 f"The signals are {', '.join(signals) or 'missing'}.",
                 'Give "diffuse", "specular" or both; "direct", "indirect" or both; or "color".',
             )
-        needed = ["normal", "depth", *(["motion"] if self.method == "svgf" else [])]
+        needed = ["normal", "depth", *(["motion"] if self.method in ("svgf", "svgf+") else [])]
         needed += [name for signal in signals for name in SIGNAL_ALBEDOS[signal] if name != "albedo"]
         for name in needed:
             if inputs.get(name) is None:

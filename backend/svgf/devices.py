@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from . import _native
+from .effects import Effects
 from .errors import DeviceError, InputError
 
 NAMES = ("auto", "cuda", "cpu", "reference")
@@ -50,6 +51,11 @@ class Device:
     def mesh(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Mesh(self._device, *arguments, **named)
 
+    def refit(self, mesh: Any, positions: np.ndarray, normals: np.ndarray, previous_positions: np.ndarray) -> bool:
+        """Moves the vertices of a mesh of this device that was made with previous positions; its triangles, slots and UVs
+        stay. Returns False where that does not pay: the mesh can then no longer be used."""
+        return mesh.refit(self._device, positions, normals, previous_positions)
+
     def texture(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Texture(self._device, *arguments, **named)
 
@@ -59,9 +65,22 @@ class Device:
     def denoiser(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Denoiser(self._device, *arguments, **named)
 
+    @property
+    def kernels(self) -> tuple[Effects, ...]:
+        """What each compiled kernel simulates, from the cheapest on: a frame takes the first that covers its effects."""
+        return tuple(Effects(bits) for bits in self._module.kernels())
+
+    def kernel_for(self, effects: Effects) -> Effects:
+        """The one of ``kernels`` that a frame with these effects takes."""
+        return next(kernel for kernel in self.kernels if effects & kernel == effects)
+
     def take_timings(self) -> dict[str, float]:
         """Milliseconds per stage since the last call. Waits for the device."""
         return self._device.take_timings()
+
+    def synchronize(self) -> None:
+        """Waits until the device has done all that it was asked to."""
+        self._device.synchronize()
 
     def interrupt(self) -> None:
         """From any thread: the running stage, or else the next one, raises Interrupted."""

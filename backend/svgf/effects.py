@@ -19,8 +19,8 @@ class Effects(IntFlag):
     frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS,
     COAT, SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
     ENVIRONMENT_MAP: the world is an image. DEPTH_OF_FIELD: the lens has an opening. RAY_VISIBILITY: not all kinds of
-    rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose among them at
-    every point anew.
+    rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose
+    among them at every point anew.
     """
 
     NONE = 0
@@ -45,6 +45,9 @@ class Effects(IntFlag):
     RAY_VISIBILITY = auto()
     LIGHT_PATH_LIMITS = auto()
     MANY_LIGHTS = auto()
+
+
+MOTION_EFFECTS = Effects.CAMERA_MOTION | Effects.OBJECT_MOTION | Effects.DEFORMATION
 
 
 def find_effects(scene: Scene) -> Effects:

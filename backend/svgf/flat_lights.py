@@ -298,7 +298,8 @@ def _has_area(corners: np.ndarray) -> np.ndarray:
 
 
 def _triangle_rows(vertex: np.ndarray, radiance: np.ndarray, mean: np.ndarray, visibility: np.ndarray) -> _Rows:
-    """vertex: [n, 3, 3]. mean: [n], of the radiance. Triangles that a transform makes too large or small for numbers have no weight."""
+    """vertex: [n, 3, 3]. mean: [n], of the radiance. Triangles that a transform makes too large or small for
+    numbers have no weight."""
     rows = np.zeros((len(vertex), 24))
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         edge1, edge2 = vertex[:, 1] - vertex[:, 0], vertex[:, 2] - vertex[:, 0]

@@ -83,24 +83,30 @@ class SceneUploader:
         last = self.last
         return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
 
-    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any], Any]) -> Any:
-        """Brings the cache to exactly `wanted`. Returns None if it held that already."""
+    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]) -> Any:
+        """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns None if the
+        cache held just that already."""
         keys = {id(source) for source in wanted}
         if keys == cache.keys():
             return None
-        for key in cache.keys() - keys:
-            del cache[key]
+        retired = [cache.pop(key) for key in cache.keys() - keys]
         for source in wanted:
             if id(source) not in cache:
-                cache[id(source)] = (source, make(source))
+                cache[id(source)] = (source, make(source, retired))
         return cache
 
-    def _new_mesh(self, mesh: Mesh) -> Any:
+    def _new_mesh(self, mesh: Mesh, retired: list[tuple[Mesh, Any]]) -> Any:
+        for index, (last, native) in enumerate(retired):
+            if _deforms_into(last, mesh):
+                del retired[index]
+                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions):
+                    return native
+                break
         return self._device.mesh(
             mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
         )
 
-    def _new_texture(self, texture: Texture) -> Any:
+    def _new_texture(self, texture: Texture, _: list[tuple[Texture, Any]]) -> Any:
         return self._device.texture(
             texture.pixels,
             texture.srgb,
@@ -126,6 +132,17 @@ WORLD_FIELDS = (
 CAMERA_FIELDS = (
     "camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip", "lens", "previous_lens",
 )  # fmt: skip
+
+
+def _deforms_into(last: Mesh, mesh: Mesh) -> bool:
+    """Whether two meshes differ in nothing but where their vertices are, and move."""
+    return (
+        last.name == mesh.name
+        and last.previous_positions is not None
+        and mesh.previous_positions is not None
+        and last.positions.shape == mesh.positions.shape
+        and all(_same(getattr(last, name), getattr(mesh, name)) for name in ("triangles", "material_slots", "uvs"))
+    )
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -278,20 +295,25 @@ class Renderer:
             array = image if isinstance(image, np.ndarray) else self.device.to_numpy(image)
             return array if array.dtype == np.int32 else array.astype(np.float32, copy=False)
 
-        noisy = sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys()))
+        def lazy(image: Any, factor: float = 1.0) -> Callable[[], np.ndarray]:
+            return lambda: host(image) if factor == 1.0 else host(image) * np.float32(factor)
+
+        radiance = [images[name] for name in sorted(RADIANCE_IMAGES & images.keys())]
+        albedo = [images[name] for name in ("diffuse_albedo", "specular_albedo") if name in images]
+        width, height = self._denoiser_size
         return Frame(
             frame=scene.frame,
-            color=host(denoised["color"]) * np.float32(exposure),
-            noisy=noisy * np.float32(exposure),
-            albedo=host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
-            normal=host(images["normal"]),
-            depth=host(images["depth"]),
-            motion=host(images["motion"]),
-            roughness=host(images["roughness"]),
-            object_id=host(images["object_id"]),
-            alpha=host(images["alpha"]) if "alpha" in images else None,
-            variance=host(denoised["variance"]) * np.float32(exposure**2),
-            history_length=host(denoised["history_length"]),
+            color=lazy(denoised["color"], exposure),
+            noisy=lambda: sum(map(host, radiance)) * np.float32(exposure),
+            albedo=lambda: sum(map(host, albedo)),
+            normal=lazy(images["normal"]),
+            depth=lazy(images["depth"]),
+            motion=lazy(images["motion"]) if "motion" in images else lambda: np.zeros((height, width, 3), np.float32),
+            roughness=lazy(images["roughness"]),
+            object_id=lazy(images["object_id"]),
+            variance=lazy(denoised["variance"], exposure**2),
+            history_length=lazy(denoised["history_length"]),
+            alpha=lazy(images["alpha"]) if "alpha" in images else None,
             timings=timings,
             reset=reset,
         )

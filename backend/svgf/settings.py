@@ -11,7 +11,7 @@ from typing import Any
 from .errors import InputError
 from .light_paths import LIGHT_PATH_RANGES, LightPaths
 
-METHODS = ("svgf", "eaw", "none")
+METHODS = ("svgf+", "svgf", "eaw", "none")
 SIGNALS = ("diffuse_specular", "direct_indirect")
 PIXEL_FILTERS = ("auto", "box", "center")
 
@@ -67,6 +67,43 @@ class DenoiseSettings:
         0.9, -1.0, 1.0, "Reprojection accepts history whose normal has at least this cosine with the new one.",
         unit="cosine",
     )  # fmt: skip
+    history_frames: float = _setting(
+        20.0, 1.0, 4096.0,
+        "svgf+: longest history where something moves; what stands still has no limit. 1: no history.", unit="frames",
+    )  # fmt: skip
+    history_clamp: float = _setting(
+        3.0, 0.0, 1e6,
+        "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.",
+        unit="standard deviations",
+    )  # fmt: skip
+    specular_history_clamp: float = _setting(
+        0.33, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
+        unit="standard deviations",
+    )  # fmt: skip
+    change_threshold: float = _setting(
+        0.7, 1e-3, 1e6,
+        "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
+        unit="standard deviations",
+    )  # fmt: skip
+    firefly_limit: float = _setting(
+        20.0, 1.0, 1e18,
+        "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.",
+    )  # fmt: skip
+    specular_sharpness: float = _setting(
+        4.0, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
+    )
+    plus_sigma_luminance: float = _setting(
+        8.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
+        unit="standard deviations of the mean", symbol="sigma_l",
+    )  # fmt: skip
+    plus_sigma_normal: float = _setting(
+        32.0, 1e-3, 1e6, "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.",
+        symbol="sigma_n",
+    )  # fmt: skip
+    antialias_frames: float = _setting(
+        3.0, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
+        unit="frames",
+    )  # fmt: skip
     eaw_sigma_color: float = _setting(
         4.0, 1e-6, 1e6, "Colour differences that count as noise at level 0; halved at each level.",
         unit="demodulated radiance", symbol="sigma_rt",
@@ -107,7 +144,7 @@ class Settings:
 
     width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
     only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
-    method: "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
+    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
     filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
     None: the scene's. diffuse_bounces ... filter_glossy: see ``LightPaths``; None: the scene's. transparent_film: the
@@ -119,7 +156,7 @@ class Settings:
     bounces: int | None = None
     samples: int = 1
     seed: int = 0
-    method: str = "svgf"
+    method: str = "svgf+"
     signals: str = "diffuse_specular"
     pixel_filter: str = "auto"
     exposure: float | None = None

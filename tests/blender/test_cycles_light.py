@@ -19,7 +19,7 @@ from mathutils import Euler
 pytestmark = pytest.mark.skipif(not hasattr(bpy.types.Scene, "cycles"), reason="The Cycles add-on is disabled.")
 
 WIDTH, HEIGHT = 24, 14
-SAMPLES = 1024
+SAMPLES = 512
 # Share of pixels that must agree: an edge of an object or a shadow lies elsewhere by a rounding.
 SHARE = 0.97
 
@@ -131,7 +131,7 @@ def test_ray_visibility_of_an_object(room, tmp_path, ray):
     ball = add_ball()
     setattr(ball, f"visible_{ray}", False)
     add_ball((-0.7, 0.2, 0.5), kind="ShaderNodeBsdfGlossy", Roughness=0.3)
-    assert_same_picture(tmp_path, 512)
+    assert_same_picture(tmp_path, 256)
 
 
 @pytest.mark.parametrize("ray", ["diffuse", "glossy"])
@@ -139,7 +139,7 @@ def test_ray_visibility_of_a_lamp(room, tmp_path, ray):
     lamp = add_light("AREA", energy=60, size=1.0, location=(0, 0, 2))
     setattr(lamp, f"visible_{ray}", False)
     add_ball(kind="ShaderNodeBsdfGlossy", Roughness=0.3)
-    assert_same_picture(tmp_path, 512)
+    assert_same_picture(tmp_path, 256)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_limits_of_light_paths(room, tmp_path, limits):
         add_ball((-0.7, -0.4, 0.5), kind="ShaderNodeBsdfGlass", Roughness=0.3, IOR=1.4)
     else:
         add_ball((-0.7, -0.4, 0.5), kind="ShaderNodeBsdfGlossy", Roughness=0.5)
-    assert_same_picture(tmp_path, 512, bias=0.015)
+    assert_same_picture(tmp_path, 256, bias=0.015)
 
 
 def test_clamps(room, tmp_path):
@@ -220,7 +220,7 @@ def test_orthographic_camera(room, tmp_path):
     data.type, data.ortho_scale, data.shift_x, data.shift_y = "ORTHO", 5.0, 0.1, -0.05
     add_light("SUN", energy=3, angle=0.1, location=(0, 0, 5)).rotation_euler = Euler((0.5, 0.3, 0))
     add_ball()
-    assert_same_picture(tmp_path, 512)
+    assert_same_picture(tmp_path, 256)
 
 
 @pytest.mark.parametrize("blades", [0, 5])
@@ -244,4 +244,4 @@ def test_transparent_film(room, tmp_path):
     bpy.data.objects.remove(room[1])
     add_world((0.3, 0.4, 0.6), 1.0)
     add_ball()
-    assert_same_picture(tmp_path, 512)
+    assert_same_picture(tmp_path, 256)

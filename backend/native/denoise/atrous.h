@@ -180,8 +180,12 @@ private:
                 const Vec4 color = tile.color[s][place];
                 constexpr float w = kernel<radius>(0) * kernel<radius>(0);
                 light[s] = luminance(color.xyz());
-                light_scale[s] =
-                    -log2_e * fast_reciprocal(stage.sigma_luminance * fast_sqrt(variance[s]) + luminance_epsilon);
+                if constexpr (Method::squares_luminance)
+                    light_scale[s] = -log2_e * fast_reciprocal(square(stage.sigma_luminance) * variance[s] +
+                                                               square(luminance_epsilon));
+                else
+                    light_scale[s] =
+                        -log2_e * fast_reciprocal(stage.sigma_luminance * fast_sqrt(variance[s]) + luminance_epsilon);
                 weight[s] = w;
                 sum[s] = {w * color.x, w * color.y, w * color.z, w * w * color.w};
             }
@@ -194,7 +198,10 @@ private:
                                      kernel_log2<radius>(i, j));
             SVGF_UNROLL
             for (int s = 0; s < Signals; ++s) {
-                const float w = fast_exp2(std::fabs(tap_light[s] - light[s]) * light_scale[s] + w_log);
+                const float difference = tap_light[s] - light[s];
+                const float w =
+                    fast_exp2((Method::squares_luminance ? square(difference) : std::fabs(difference)) * light_scale[s] +
+                              w_log);
                 const Vec4 c = color[s];
                 weight[s] += w;
                 sum[s] = {sum[s].x + w * c.x, sum[s].y + w * c.y, sum[s].z + w * c.z, sum[s].w + w * w * c.w};

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "denoise/denoiser.h"
 
+#include <algorithm>
+#include <type_traits>
 #include <utility>
 
+#include "denoise/antialias.h"
 #include "denoise/atrous.h"
 #include "denoise/demodulate.h"
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
+#include "denoise/temporal_plus.h"
 #include "denoise/variance.h"
 #include "device/launch_shape.h"
 
@@ -18,10 +22,11 @@ namespace {
 struct SignalInfo {
     const char* name;
     const char* albedo[2];
+    bool is_specular = false;
 };
 constexpr SignalInfo signal_table[] = {
     {"diffuse", {"diffuse_albedo", nullptr}},
-    {"specular", {"specular_albedo", nullptr}},
+    {"specular", {"specular_albedo", nullptr}, true},
     {"direct", {"diffuse_albedo", "specular_albedo"}},
     {"indirect", {"diffuse_albedo", "specular_albedo"}},
     {"color", {"albedo", nullptr}},
@@ -47,9 +52,6 @@ struct Sequence {
 template <class First, class Second>
 Sequence(First, Second) -> Sequence<First, Second>;
 
-// Of the caller's colour image, per pixel.
-constexpr int borrowed_bytes = 3 * sizeof(float);
-
 }  // namespace
 
 std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name) {
@@ -68,6 +70,7 @@ DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* na
         if (!signal) continue;
         if (inputs.signals == max_signals) throw InputError("More than two signals are given.");
         inputs.signal[inputs.signals] = signal;
+        inputs.is_specular[inputs.signals] = info.is_specular;
         for (int i = 0; i < 2; ++i)
             if (info.albedo[i]) inputs.albedo[inputs.signals][i] = floats(info.albedo[i]);
         ++inputs.signals;
@@ -88,13 +91,14 @@ DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* na
 // run.operator()<Method>() for the traits of the denoiser's method.
 template <class Run>
 auto Denoiser::with_method(Run run) {
-    return method_ == DenoiseMethod::svgf_plus ? run.template operator()<Fast>() : run.template operator()<Published>();
+    return method_ == DenoiseMethod::svgf_plus ? run.template operator()<Plus>() : run.template operator()<Published>();
 }
 
 Denoiser::Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings)
     : device_(device), width_(width), height_(height), method_(method), settings_(settings) {
     repaired_ = Buffer<int>(device, 1, "repair counter");
     repaired_.clear();
+    if (method == DenoiseMethod::svgf_plus) fireflies_ = Buffer<FireflyCount>(device, 1, "firefly counter");
     prepare(1);
 }
 
@@ -113,7 +117,7 @@ void Denoiser::allocate(int signals) {
     };
     const int color_bytes = signals * Storage::color_bytes;
     need(guides_, Storage::guide_bytes, "guides");
-    if (color_bytes > borrowed_bytes) need(working_, color_bytes, "working colour");
+    if (method_ != DenoiseMethod::svgf_plus) need(working_, color_bytes, "working colour");
     if (!is_temporal()) {
         if (method_ != DenoiseMethod::none) need(scratch_, color_bytes, "scratch colour");
         return;
@@ -123,6 +127,10 @@ void Denoiser::allocate(int signals) {
     need(history_, color_bytes, "history");
     need(moments_, signals * Storage::moments_bytes, "moments");
     need(previous_moments_, signals * Storage::moments_bytes, "previous moments");
+    if (method_ != DenoiseMethod::svgf_plus) return;
+    need(next_history_, color_bytes, "next history");
+    need(resolved_, Storage::color_bytes, "resolved colour");
+    need(previous_resolved_, Storage::color_bytes, "previous resolved colour");
 }
 
 template <class Storage>
@@ -132,11 +140,13 @@ typename Storage::Guides Denoiser::guides_of(Memory& memory) {
 
 template <class Storage>
 typename Storage::Color Denoiser::color_of(Place place, int signal) {
-    std::byte* memory = place == Place::history   ? history_.data()
-                        : place == Place::scratch ? (is_temporal() ? previous_guides_ : scratch_).data()
-                        : borrowed_               ? borrowed_
-                                                  : working_.data();
-    return {memory + signal * pixels() * Storage::color_bytes};
+    if (place == Place::working && borrowed_[signal]) return {borrowed_[signal]};
+    Memory& memory = place == Place::working   ? working_
+                     : place == Place::history ? history_
+                     : place == Place::spare   ? next_history_
+                     : is_temporal()           ? previous_guides_
+                                               : scratch_;
+    return {memory.data() + signal * pixels() * Storage::color_bytes};
 }
 
 template <class Storage>
@@ -183,43 +193,71 @@ void Denoiser::launch_tiles(const char* name, const Stage& stage) {
 template <class Method, int Signals>
 void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = typename Method::Storage;
-    if (Signals * Storage::color_bytes <= borrowed_bytes) borrowed_ = reinterpret_cast<std::byte*>(outputs.color);
-    else borrowed_ = nullptr;
     traffic_.clear();
     repaired_.clear();
-    Place place = Place::working;
-    const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
-    if (is_temporal()) {
-        launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
-        variance<Method, Signals>();
-        // The last level reads history or scratch, never working, which may be the image that modulate writes.
-        const int last = levels() - 1;
-        for (int level = 0; level <= max(last - 1, 0) && level <= last; ++level) {
-            const Place next = level == 0 ? Place::history : (last - level) % 2 ? Place::scratch : Place::working;
-            atrous<Method, Signals>(level, place, next);
-            place = next;
-        }
-        if (levels() == 0) {  // the means themselves are the history
-            device_.copy(history_.data(), color_of<Storage>(place, 0).texels, Signals * pixels() * Storage::color_bytes);
-            place = Place::history;
-        }
-        const auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
-        if (last >= 1)
-            atrous<Method, Signals>("atrous and modulate", last, place, modulate_stage);
-        else
-            launch("modulate", modulate_stage);
-        moments_.swap(previous_moments_);
-        guides_.swap(previous_guides_);
-        has_history_ = true;
+    if constexpr (std::is_same_v<Method, Plus>) {
+        borrowed_[0] = reinterpret_cast<std::byte*>(outputs.color);
+        borrowed_[1] = resolved_.data();
+        run_plus<Signals>(inputs, outputs);
     } else {
-        launch("demodulate", demodulate_stage);
-        for (int level = 0; level < levels(); ++level) {
-            const Place next = place == Place::working ? Place::scratch : Place::working;
-            edge_avoiding<Signals>(level, inputs.window, place, next);
-            place = next;
+        for (std::byte*& memory : borrowed_) memory = nullptr;
+        Place place = Place::working;
+        const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
+        if (is_temporal()) {
+            launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            variance<Method, Signals>();
+            for (int level = 0; level < levels(); ++level) {
+                const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
+                atrous<Method, Signals>(level, place, next);
+                place = next;
+            }
+            if (levels() == 0)  // the means themselves are the history
+                device_.copy(history_.data(), working_.data(), Signals * pixels() * Storage::color_bytes);
+            launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
+            moments_.swap(previous_moments_);
+            guides_.swap(previous_guides_);
+            has_history_ = true;
+        } else {
+            launch("demodulate", demodulate_stage);
+            for (int level = 0; level < levels(); ++level) {
+                const Place next = place == Place::working ? Place::scratch : Place::working;
+                edge_avoiding<Signals>(level, inputs.window, place, next);
+                place = next;
+            }
+            launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
         }
-        launch("modulate", modulate<Storage, Signals>(inputs, outputs, place));
     }
+}
+
+template <int Signals>
+void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
+    using Storage = Plus::Storage;
+    launch("demodulate", demodulate<Storage, Signals>(inputs));
+    temporal_plus<Signals>(inputs);
+    Place place = Place::history;
+    const int last = levels() - 1;
+    // The last level writes into history and, without antialias, into working: it reads scratch.
+    for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
+        const Place next = last == level || (last - level) % 2 ? Place::scratch : Place::working;
+        atrous<Plus, Signals>(level, place, next);
+        place = next;
+    }
+    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
+    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
+    const bool antialiases = settings_.antialias_frames > 1.0f;
+    if (antialiases) {
+        modulate_stage.out_color = nullptr;
+        modulate_stage.out_unresolved = color_of<Storage>(Place::spare, 0);
+    }
+    if (last >= 1)
+        atrous<Plus, Signals>("atrous and modulate", last, place, modulate_stage);
+    else
+        launch("modulate", modulate_stage);
+    if (antialiases) antialias<Signals>(inputs, outputs);
+    has_resolved_ = antialiases;
+    moments_.swap(previous_moments_);
+    guides_.swap(previous_guides_);
+    has_history_ = true;
 }
 
 // The frame's guides; illumination in working.
@@ -242,18 +280,25 @@ Demodulate<Storage, Signals> Denoiser::demodulate(const DenoiseInputs& inputs) {
     return stage;
 }
 
+template <class Storage>
+Reprojection<Storage> Denoiser::reprojection(const DenoiseInputs& inputs) {
+    Reprojection<Storage> result;
+    result.guides = guides_of<Storage>(guides_);
+    if (has_history_) result.prev_guides = guides_of<Storage>(previous_guides_);
+    result.in_motion = inputs.motion;
+    result.motion_channels = inputs.motion_channels;
+    result.depth_tolerance = settings_.depth_tolerance;
+    result.normal_tolerance = settings_.normal_tolerance;
+    return result;
+}
+
 // In place: working becomes the mean with its variance over time, and no other pixel reads it.
 template <class Storage, int Signals>
 Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     Temporal<Storage, Signals> stage;
-    stage.guides = guides_of<Storage>(guides_);
-    if (has_history_) stage.prev_guides = guides_of<Storage>(previous_guides_);
-    stage.in_motion = inputs.motion;
-    stage.motion_channels = inputs.motion_channels;
+    stage.reprojection = reprojection<Storage>(inputs);
     stage.alpha = settings_.alpha;
     stage.alpha_moments = settings_.alpha_moments;
-    stage.depth_tolerance = settings_.depth_tolerance;
-    stage.normal_tolerance = settings_.normal_tolerance;
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
         stage.in_illumination[s] = stage.out_color[s] = color_of<Storage>(Place::working, s);
@@ -262,6 +307,55 @@ Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
     return stage;
+}
+
+// From working and history to the next history, which then takes history's place; that of the frame before is spare.
+template <int Signals>
+void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
+    using Storage = Plus::Storage;
+    fireflies_.clear();
+    TemporalPlus<Storage, Signals> stage;
+    stage.reprojection = reprojection<Storage>(inputs);
+    stage.history_frames = settings_.history_frames;
+    stage.firefly_limit = settings_.firefly_limit;
+    stage.change_threshold = settings_.change_threshold;
+    stage.out_repaired = repaired_.data();
+    stage.out_fireflies = fireflies_.data();
+    for (int s = 0; s < Signals; ++s) {
+        const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
+        stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
+        stage.variance_scale[s] = square(sharper);
+        stage.in_illumination[s] = color_of<Storage>(Place::working, s);
+        stage.hist_color[s] = color_of<Storage>(Place::history, s);
+        stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
+        stage.out_color[s] = color_of<Storage>(Place::spare, s);
+        stage.out_moments[s] = moments_of<Storage>(moments_, s);
+    }
+    launch("temporal", stage);
+    history_.swap(next_history_);
+}
+
+template <int Signals>
+void Denoiser::antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
+    using Storage = Plus::Storage;
+    Antialias<Storage, Signals> stage;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.in_color = color_of<Storage>(Place::spare, 0);
+    stage.hist_color = {previous_resolved_.data()};
+    stage.has_history = has_history_ && has_resolved_;
+    stage.in_motion = inputs.motion;
+    stage.motion_channels = inputs.motion_channels;
+    for (int s = 0; s < Signals; ++s) {
+        stage.in_signal[s] = inputs.signal[s];
+        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
+        stage.in_moments[s] = moments_of<Storage>(moments_, s);
+    }
+    stage.in_emission = inputs.emission;
+    stage.antialias_frames = settings_.antialias_frames;
+    stage.out_history = {resolved_.data()};
+    stage.out_color = outputs.color;
+    launch("antialias", stage);
+    resolved_.swap(previous_resolved_);
 }
 
 // In place: only the variance of working changes, and no other pixel reads it.
@@ -288,8 +382,9 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         stage.guides = guides_of<Storage>(guides_);
         stage.lattice = {level, width_, height_};
         stage.sigma_depth = settings_.sigma_depth;
-        stage.sigma_normal = settings_.sigma_normal;
-        stage.sigma_luminance = settings_.sigma_luminance;
+        constexpr bool plus = std::is_same_v<Method, Plus>;
+        stage.sigma_normal = plus ? settings_.plus_sigma_normal : settings_.sigma_normal;
+        stage.sigma_luminance = plus ? settings_.plus_sigma_luminance : settings_.sigma_luminance;
         for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
         stage.sink = sink;
         launch_tiles(name, stage);
@@ -343,6 +438,8 @@ Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const
 
 int Denoiser::repaired() const { return repaired_.download()[0]; }
 
+FireflyCount Denoiser::fireflies() const { return fireflies_ ? fireflies_.download()[0] : FireflyCount{}; }
+
 std::vector<BufferInfo> Denoiser::buffers() const {
     std::vector<BufferInfo> list;
     const auto add = [&](const char* name, const auto& buffer) {
@@ -353,8 +450,11 @@ std::vector<BufferInfo> Denoiser::buffers() const {
     add("working colour", working_);
     add("scratch colour", scratch_);
     add("history", history_);
+    add("next history", next_history_);
     add("moments", moments_);
     add("previous moments", previous_moments_);
+    add("resolved colour", resolved_);
+    add("previous resolved colour", previous_resolved_);
     add("repair counter", repaired_);
     return list;
 }
@@ -381,10 +481,12 @@ std::vector<T> upload_values(const HostImage& image) {
 HostImages Denoiser::run_stage(const std::string& stage, const HostImages& arrays, int level) {
     const auto given = [&](const std::string& name) { return arrays.contains(name); };
     int signals = given("illumination1") || given("moments1") || given("color1") ? 2 : 1;
-    if (stage == "demodulate") {
+    if (stage == "demodulate" || stage == "antialias") {
         signals = 0;
         for (const SignalInfo& info : signal_table) signals += given(info.name);
     }
+    if (stage == "antialias" && method_ != DenoiseMethod::svgf_plus)
+        throw InputError("The stage antialias belongs to svgf+ alone.");
     if (signals < 1 || signals > max_signals) throw InputError("A stage needs one or two signals.");
     if (level < 0 || level >= 16) throw InputError("The level is out of range.");
     return with_method([&]<class Method>() {
@@ -405,7 +507,8 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     // The working colour of a frame may be borrowed; a stage alone has its own.
     Memory own_working;
     if (!working_) own_working = Memory(device_, pixels * Signals * Storage::color_bytes, "working colour");
-    borrowed_ = own_working.data();
+    for (int s = 0; s < max_signals; ++s)
+        borrowed_[s] = own_working ? own_working.data() + s * pixels * Storage::color_bytes : nullptr;
 
     // Images are packed and unpacked on the host, by the stages' own code.
     const auto upload_color = [&](Place place, int s, const HostImage& rgb, const HostImage* variance) {
@@ -428,10 +531,16 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             variance.values.push_back(c.w);
         }
     };
+    constexpr int moments_channels = sizeof(typename Storage::MomentsValue) / sizeof(float);
     const auto upload_moments = [&](Memory& to, int s, const HostImage& values) {
         std::vector<std::byte> memory(pixels * Storage::moments_bytes);
         const typename Storage::Moments moments{memory.data()};
-        for (size_t i = 0; i < pixels; ++i) moments.store(int(i), {values.values[2 * i], values.values[2 * i + 1]});
+        using Value = typename Storage::MomentsValue;
+        for (size_t i = 0; i < pixels; ++i) {
+            Value value;
+            std::copy_n(&values.values[i * moments_channels], moments_channels, &value.x);
+            moments.store(int(i), value);
+        }
         device_.upload(moments_of<Storage>(to, s).texels, memory.data(), memory.size());
     };
     const auto upload_guides = [&](const std::string& prefix, Memory& to, const std::string& length_name) {
@@ -464,7 +573,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     std::map<std::string, Buffer<float>> uploads;
     Buffer<int32_t> object_id;
     DenoiseInputs inputs;
-    if (stage == "demodulate" || stage == "modulate") {
+    if (stage == "demodulate" || stage == "modulate" || stage == "antialias") {
         HostImages stand_ins = arrays;  // modulate reads no guides and no radiance, but a frame has them
         if (stage == "modulate") {
             stand_ins.insert({"normal", {3, std::vector<float>(3 * pixels)}});
@@ -516,17 +625,32 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         for (int s = 0; s < Signals; ++s) {
             upload_color(Place::working, s, image(numbered("illumination", s), 3), nullptr);
             if (!has_history_) continue;
-            upload_color(Place::history, s, image(numbered("hist_color", s), 3), nullptr);
-            upload_moments(previous_moments_, s, image(numbered("hist_moments", s), 2));
+            HostImage squares;  // svgf+ keeps the squared luminance after the filter there
+            if (given(numbered("hist_filtered", s))) {
+                squares = image(numbered("hist_filtered", s), 1);
+                for (float& light : squares.values) light = square(light);
+            }
+            upload_color(Place::history, s, image(numbered("hist_color", s), 3), squares.values.empty() ? nullptr : &squares);
+            upload_moments(previous_moments_, s, image(numbered("hist_moments", s), moments_channels));
         }
-        launch("temporal", temporal<Storage, Signals>(inputs));
+        Place means = Place::working;
+        if constexpr (std::is_same_v<Method, Plus>) {
+            inputs.is_specular[1] = true;
+            temporal_plus<Signals>(inputs);
+            means = Place::history;
+        } else {
+            launch("temporal", temporal<Storage, Signals>(inputs));
+        }
         for (int s = 0; s < Signals; ++s) {
-            download_color(Place::working, s, result[numbered("color", s)], unused);
+            download_color(means, s, result[numbered("color", s)], result[numbered("variance", s)]);
             std::vector<std::byte> memory(pixels * Storage::moments_bytes);
             device_.download(memory.data(), moments_of<Storage>(moments_, s).texels, memory.size());
             const typename Storage::Moments moments{memory.data()};
-            HostImage& values = result[numbered("moments", s)] = {2, {}};
-            for (size_t i = 0; i < pixels; ++i) values.values.insert(values.values.end(), {moments[int(i)].x, moments[int(i)].y});
+            HostImage& values = result[numbered("moments", s)] = {moments_channels, {}};
+            for (size_t i = 0; i < pixels; ++i) {
+                const auto value = moments[int(i)];
+                values.values.insert(values.values.end(), &value.x, &value.x + moments_channels);
+            }
         }
         HostImage& length = result["history_length"] = {1, {}};
         download_guides([&](const typename Storage::Guides& guides, int pixel) {
@@ -534,18 +658,22 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         });
         has_history_ = false;
     } else if (stage == "variance") {
-        temporal_only();
-        upload_guides("", guides_, "history_length");
-        for (int s = 0; s < Signals; ++s) {
-            const HostImage& moments = image(numbered("moments", s), 2);
-            HostImage variance{1, {}};
-            for (size_t i = 0; i < pixels; ++i)
-                variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
-            upload_moments(moments_, s, moments);
-            upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
+        if constexpr (!std::is_same_v<Method, Plus>) {
+            temporal_only();
+            upload_guides("", guides_, "history_length");
+            for (int s = 0; s < Signals; ++s) {
+                const HostImage& moments = image(numbered("moments", s), 2);
+                HostImage variance{1, {}};
+                for (size_t i = 0; i < pixels; ++i)
+                    variance.values.push_back(moments.values[2 * i + 1]);  // as temporal leaves it
+                upload_moments(moments_, s, moments);
+                upload_color(Place::working, s, {3, std::vector<float>(3 * pixels)}, &variance);
+            }
+            variance<Method, Signals>();
+            for (int s = 0; s < Signals; ++s) download_color(Place::working, s, unused, result[numbered("variance", s)]);
+        } else {
+            throw InputError("The stage variance belongs to svgf alone.");
         }
-        variance<Method, Signals>();
-        for (int s = 0; s < Signals; ++s) download_color(Place::working, s, unused, result[numbered("variance", s)]);
     } else if (stage == "atrous") {
         const Place to = is_temporal() ? Place::history : Place::scratch;
         upload_guides("", guides_, "");
@@ -579,6 +707,30 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         launch("modulate", modulate<Storage, Signals>(inputs, outputs, Place::working));
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
+    } else if (stage == "antialias") {
+        if constexpr (std::is_same_v<Method, Plus>) {
+            upload_guides("", guides_, "");
+            upload_color(Place::spare, 0, image("unresolved", 3), nullptr);
+            for (int s = 0; s < Signals; ++s)
+                upload_moments(moments_, s, image(numbered("moments", s), moments_channels));
+            has_history_ = has_resolved_ = given("resolved");
+            if (has_history_) {
+                history_.swap(previous_resolved_);  // upload_color fills history
+                HostImage squares = image("resolved_frames", 1);
+                for (float& frames : squares.values) frames = square(frames);
+                upload_color(Place::history, 0, image("resolved", 3), &squares);
+                history_.swap(previous_resolved_);
+            }
+            Buffer<float> color(device_, 3 * pixels, "color");
+            antialias<Signals>(inputs, {color.data(), nullptr, nullptr});
+            result["color"] = {3, color.download()};
+            history_.swap(previous_resolved_);
+            HostImage& frames = result["resolved_frames"];
+            download_color(Place::history, 0, unused, frames);
+            history_.swap(previous_resolved_);
+            for (float& value : frames.values) value = std::sqrt(value);
+            has_history_ = has_resolved_ = false;
+        }
     } else {
         throw InputError("There is no denoiser stage " + stage + ".");
     }

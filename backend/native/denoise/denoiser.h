@@ -2,15 +2,15 @@
 // The denoiser: owns the buffers and the order of the stages.
 //
 //   method   stages
+//   svgf+    demodulate -> temporal -> atrous x levels -> modulate -> antialias     ours
 //   svgf     demodulate -> temporal -> variance -> atrous x levels -> modulate      [Schied17]
 //   eaw      demodulate -> atrous x levels -> modulate                              [Dammertz10]
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
-// Demodulate and temporal run in one launch, and the last level hands its result to modulate, without a detour through
-// memory. Two pieces of memory serve twice: the guides of the frame before, once temporal has read them, as scratch
-// between levels; and the caller's colour image, where a texel of working colour fits into its 12 bytes, until the last
-// stage writes it.
+// svgf+ works in packed images (storage.h), and its last level hands its result to modulate without a detour through
+// memory. Three pieces of memory serve twice: the guides of the frame before, once temporal has read them, as scratch
+// between levels; the caller's colour image, until the last stage writes it; and so the next resolved colour.
 #pragma once
 
 #include <cstdint>
@@ -43,6 +43,7 @@ struct ImageView {
 struct DenoiseInputs {
     int signals = 0;                        // 1 or 2
     const float* signal[max_signals] = {};  // [H, W, 3] radiance
+    bool is_specular[max_signals] = {};     // reflections: filtered less, and not tied to the surface's motion
     const float* albedo[max_signals][2] = {};  // [H, W, 3], summed; both null: 1
     const float* emission = nullptr;        // [H, W, 3]; null: 0
     const float* normal = nullptr;          // [H, W, 3] world space
@@ -76,6 +77,13 @@ struct HostImage {
 };
 using HostImages = std::map<std::string, HostImage>;
 
+// Samples that were brighter than svgf+'s limit, and what was cut from them: luminance over albedo, summed over pixels,
+// in 1 / light_units, so that the sum is the same in any order.
+struct FireflyCount {
+    unsigned long long samples = 0, light = 0;
+};
+constexpr double light_units = 1024.0;
+
 struct BufferInfo {
     std::string name;
     size_t bytes;
@@ -84,6 +92,7 @@ struct BufferInfo {
 template <class Storage, int Signals> struct Demodulate;
 template <class Storage, int Signals> struct Temporal;
 template <class Storage, int Signals> struct Modulate;
+template <class Storage> struct Reprojection;
 
 class Denoiser {
 public:
@@ -106,6 +115,9 @@ public:
     // Values of the last frame's (or stage's) inputs and history that were repaired. Waits for the device.
     int repaired() const;
 
+    // Samples that svgf+ scaled down in the last frame. Waits for the device.
+    FireflyCount fireflies() const;
+
     std::vector<BufferInfo> buffers() const;
 
     // One stage alone, on host images; for tests. Uses this denoiser's buffers, so it ends the history. level: of
@@ -116,6 +128,9 @@ public:
     //   variance    moments0, history_length, guides -> variance0
     //   atrous      color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf)
     //   modulate    color0, variance0 (svgf), the public images -> color, variance
+    //   antialias   unresolved, moments0, the public images, guides, resolved, resolved_frames -> color, resolved_frames
+    // temporal of svgf+: moments are frames, variance and drift, hist_filtered0 the luminance after the filter, variance0 goes with
+    // color0, and signal 1 is the specular one.
     HostImages run_stage(const std::string& stage, const HostImages& arrays, int level = 0);
 
     Device& device() { return device_; }
@@ -126,7 +141,8 @@ public:
 private:
     using Memory = Buffer<std::byte>;
     // Where colour lies between the stages. `working` is what temporal leaves, `history` the first level [Schied17].
-    enum class Place { working, scratch, history };
+    // `spare`: the history of the frame before, once temporal has read it.
+    enum class Place { working, scratch, history, spare };
 
     bool is_temporal() const { return method_ == DenoiseMethod::svgf || method_ == DenoiseMethod::svgf_plus; }
     int levels() const { return method_ == DenoiseMethod::none ? 0 : settings_.levels; }
@@ -140,8 +156,12 @@ private:
     template <class Run> auto with_method(Run run);
 
     template <class Method, int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
+    template <int Signals> void run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
     template <class Storage, int Signals> Demodulate<Storage, Signals> demodulate(const DenoiseInputs& inputs);
+    template <class Storage> Reprojection<Storage> reprojection(const DenoiseInputs& inputs);
     template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
+    template <int Signals> void temporal_plus(const DenoiseInputs& inputs);
+    template <int Signals> void antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
     template <class Method, int Signals> void variance();
     template <class Method, int Signals, class Sink>
     void atrous(const char* name, int level, Place from, const Sink& sink);
@@ -165,8 +185,12 @@ private:
     Memory guides_, previous_guides_;
     Memory working_, scratch_, history_;    // colour, one image per signal after the other
     Memory moments_, previous_moments_;     // of luminance, likewise
-    std::byte* borrowed_ = nullptr;         // the caller's colour image as working memory, during a frame
+    Memory next_history_;                   // svgf+: temporal writes it while it reads history_
+    Memory resolved_, previous_resolved_;   // what antialias writes and has written
+    bool has_resolved_ = false;
+    std::byte* borrowed_[max_signals] = {};  // working memory that is another's, during a frame
     Buffer<int> repaired_;
+    Buffer<FireflyCount> fireflies_;
     Traffic traffic_;
 };
 

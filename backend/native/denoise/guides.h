@@ -33,6 +33,14 @@ SVGF_HD inline void count(int* counter, int amount) {
 #endif
 }
 
+SVGF_HD inline void count(unsigned long long* counter, unsigned long long amount) {
+#if defined(__CUDA_ARCH__)
+    atomicAdd(counter, amount);
+#else
+    std::atomic_ref<unsigned long long>(*counter).fetch_add(amount, std::memory_order_relaxed);
+#endif
+}
+
 // Values outside [0, largest_radiance], NaN and infinities become 0.
 SVGF_HD inline float repair(float value, int& repaired) {
     if (in_range(value, 0.0f, largest_radiance)) return value;

@@ -14,14 +14,16 @@ struct Modulate {
     const float* in_emission;
     typename Storage::Guides guides;
     bool has_length;  // false: no temporal mean, the frame stands alone
-    float* out_color;           // [H, W, 3]
+    float* out_color;           // [H, W, 3]; null: to out_unresolved, for "antialias"
+    typename Storage::Color out_unresolved;
+    typename Storage::Color out_filtered_light[Signals];  // svgf+: see temporal_plus.h; null: not wanted
     float* out_variance;        // [H, W] of luminance, signals taken as independent
     float* out_history_length;  // [H, W] frames
     int* out_repaired;
 
     int bytes_per_pixel() const { return sink_bytes_per_pixel() + Signals * Storage::color_bytes + 4; }
     int sink_bytes_per_pixel() const {
-        int bytes = (in_emission ? 12 : 0) + 12 + 4 + 4;
+        int bytes = (in_emission ? 12 : 0) + (out_color ? 12 : Storage::color_bytes) + 4 + 4;
         for (int s = 0; s < Signals; ++s) bytes += (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0);
         return bytes;
     }
@@ -43,10 +45,15 @@ struct Modulate {
             const Vec4 c = filtered[s];
             color += c.xyz() * albedo;
             variance += c.w * square(luminance(albedo));
+            if (out_filtered_light[s].texels) out_filtered_light[s].store_variance(pixel, square(luminance(c.xyz())));
         }
-        out_color[3 * pixel] = color.x;
-        out_color[3 * pixel + 1] = color.y;
-        out_color[3 * pixel + 2] = color.z;
+        if (out_color) {
+            out_color[3 * pixel] = color.x;
+            out_color[3 * pixel + 1] = color.y;
+            out_color[3 * pixel + 2] = color.z;
+        } else {
+            out_unresolved.store(pixel, {color.x, color.y, color.z, 0.0f});
+        }
         out_variance[pixel] = min(variance, largest_float);
         out_history_length[pixel] = has_length ? guides.length(pixel) : is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
         count(out_repaired, repaired);

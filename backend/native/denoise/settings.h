@@ -8,7 +8,8 @@
 namespace svgf {
 
 // SETTING(name, type, default, minimum, maximum, unit, symbol, meaning), ranges inclusive, symbol as in the paper:
-// [Schied17] up to sigma_luminance, [Dammertz10] for eaw_*.
+// [Schied17] but for eaw_*, which are [Dammertz10]'s. Unless another method is named, settings are svgf's; svgf+ shares
+// sigma_depth, levels and the tolerances.
 #define SVGF_DENOISE_SETTINGS(SETTING)                                                                                 \
     SETTING(alpha, float, 0.2, 0.0, 1.0, "", "alpha",                                                                  \
             "Least weight of the new frame in the temporal mean of colour; 0 keeps the plain mean of all frames.")     \
@@ -28,6 +29,24 @@ namespace svgf {
             "Reprojection accepts history whose plane misses the expected depth by at most this.")                     \
     SETTING(normal_tolerance, float, 0.9, -1.0, 1.0, "cosine", "",                                                     \
             "Reprojection accepts history whose normal has at least this cosine with the new one.")                    \
+    SETTING(history_frames, float, 20.0, 1.0, 4096.0, "frames", "",                                                    \
+            "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
+    SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
+            "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
+    SETTING(specular_history_clamp, float, 0.33, 0.0, 1e6, "standard deviations", "",                                  \
+            "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
+    SETTING(change_threshold, float, 0.7, 1e-3, 1e6, "standard deviations", "",                                        \
+            "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
+    SETTING(firefly_limit, float, 20.0, 1.0, 1e18, "", "",                                                             \
+            "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.")     \
+    SETTING(specular_sharpness, float, 4.0, 1.0, 1e3, "", "",                                                          \
+            "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this.")                      \
+    SETTING(plus_sigma_luminance, float, 8.0, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
+            "svgf+: luminance differences that count as noise; larger blurs more.")                                    \
+    SETTING(plus_sigma_normal, float, 32.0, 1e-3, 1e6, "", "sigma_n",                                                  \
+            "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \
+    SETTING(antialias_frames, float, 3.0, 1.0, 1024.0, "frames", "",                                                   \
+            "svgf+: frames over which the picture is resolved where something moves. 1: not at all.")                  \
     SETTING(eaw_sigma_color, float, 4.0, 1e-6, 1e6, "demodulated radiance", "sigma_rt",                                \
             "Colour differences that count as noise at level 0; halved at each level.")                                \
     SETTING(eaw_sigma_normal, float, 0.3, 1e-6, 1e6, "", "sigma_n",                                                    \

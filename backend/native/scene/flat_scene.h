@@ -223,6 +223,7 @@ struct WorldView {
 struct SceneView {
     const WideNode* nodes = nullptr;               // top level
     const std::int32_t* instance_order = nullptr;  // instance of each of its leaves
+    bool has_one_instance = false;                 // rays then start in it
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;

@@ -322,7 +322,7 @@ private:
             if constexpr (has_specular)
                 value.diffuse = diffuse_ * oren_nayar_.evaluate(view_.z, cosine, dot(view_, light)) * cosine;
             else
-                value.diffuse = diffuse_ * (cosine / pi);
+                value.diffuse = diffuse_ * (1.0f / pi) * cosine;  // the same to the bit, of no roughness
             if constexpr (has_normal_maps)
                 if (above) value.diffuse *= darkening;
         }

@@ -97,8 +97,8 @@ struct Camera {
     }
 
     // Derivatives by the image point's x and y of the depth at which its ray meets a plane; depth: where it does now.
-    // The ray o + s d meets n (x - p) = 0 at s = n (p - o) / n d. Of a perspective camera only d changes, ds = -s (n dd)
-    // / (n d); of an orthographic one only o, ds = -(n do) / (n d).
+    // The ray o + s d meets n (x - p) = 0 at s = n (p - o) / n d. Of a perspective camera only d changes,
+    // ds = -s (n dd) / (n d); of an orthographic one only o, ds = -(n do) / (n d).
     SVGF_HD Vec2 depth_gradient(Vec2 point, float depth, Vec3 normal) const {
         const Vec3 n = to_camera(normal);
         const float scale = -(is_orthographic ? 1.0f : depth) / dot(n, local_direction(point));

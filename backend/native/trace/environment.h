@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // The world as an image: its radiance, and directions sampled by it.
 //
-// Directions are sampled by a piecewise constant density, rows and then columns of an equirectangular map. It is lowered
-// by its mean and cut off at zero ("MIS compensation" [Karlik19]): what is left to rays that run into the sky anyway is
-// not sampled twice.
+// Directions are sampled by a piecewise constant density, rows and then columns of an equirectangular map. It is
+// lowered by its mean and cut off at zero ("MIS compensation" [Karlik19]): what is left to rays that run into the sky
+// anyway is not sampled twice.
 #pragma once
 
 #include "core/vec.h"
@@ -48,8 +48,8 @@ SVGF_HD inline int choose_interval(const float* cdf, int count, float& u) {
 SVGF_HD inline float environment_cell_density(const WorldView& world, int row, int column, float cos_elevation) {
     const float* columns = world.column_cdf + row * (world.columns + 1);
     const float probability = (world.row_cdf[row + 1] - world.row_cdf[row]) * (columns[column + 1] - columns[column]);
-    return cos_elevation > 0.0f ? probability * float(world.rows) * float(world.columns) / (2.0f * pi * pi * cos_elevation)
-                                : 0.0f;
+    const float cells = float(world.rows) * float(world.columns);
+    return cos_elevation > 0.0f ? probability * cells / (2.0f * pi * pi * cos_elevation) : 0.0f;
 }
 
 // With which sample_environment finds a unit direction.

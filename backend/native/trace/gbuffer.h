@@ -76,8 +76,9 @@ struct GbufferStage {
     std::int32_t* out_material_id;  // index + 1
     float* out_roughness;
     Vec3* out_diffuse_albedo;
-    Vec3* out_specular_albedo;
-    Vec3* out_motion;  // previous position minus this one in pixels, previous depth minus this one
+    Vec3* out_specular_albedo;  // null: nothing is specular
+    // Previous position minus this one in pixels, previous depth minus this one; null: nothing moves.
+    Vec3* out_motion;
 
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
@@ -104,7 +105,7 @@ struct GbufferStage {
         const ImagePoint now = camera.project(surface.position);
         // What stands still moves by exactly 0, whatever two projections would round it to.
         Vec3 motion;
-        if (camera_moves || is_moving(scene, hit))
+        if (out_motion && (camera_moves || is_moving(scene, hit)))
             motion = find_motion(now, previous_camera.project(find_previous_position(scene, hit)));
         write(i, bsdf.normal, now.depth, bounded(camera.depth_gradient(point, now.depth, bsdf.geometric_normal)),
               scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
@@ -142,8 +143,8 @@ private:
         out_material_id[i] = material_id;
         out_roughness[i] = roughness;
         out_diffuse_albedo[i] = diffuse_albedo;
-        out_specular_albedo[i] = specular_albedo;
-        out_motion[i] = motion;
+        if (out_specular_albedo) out_specular_albedo[i] = specular_albedo;
+        if (out_motion) out_motion[i] = motion;
     }
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lamps, emissive triangles and the environment: choosing one, sampling a point on it, and the densities of the same for
-// rays that run into one.
+// Lamps, emissive triangles and the environment: choosing one, sampling a point on it, and the densities of the same
+// for rays that run into one.
 //
 // Densities are per solid angle and hold the probability of choosing the light. A lamp without size has density 1 for
 // its only direction.
@@ -95,8 +95,8 @@ SVGF_HD inline float spot_attenuation(const Light& light, Vec3 direction) {
     return t * t * (3.0f - 2.0f * t);
 }
 
-// Of an area lamp behind a grid of slats that hide it from where it is seen at an angle; 1 for a full spread. cosine: of
-// the angle, > 0. As Cycles has it: max(0, tan(half spread) - tan(angle)), normalized.
+// Of an area lamp behind a grid of slats that hide it from where it is seen at an angle; 1 for a full spread. cosine:
+// of the angle, > 0. As Cycles has it: max(0, tan(half spread) - tan(angle)), normalized.
 SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
     if (!(light.spot_scale > 0.0f)) return 1.0f;
     const float tangent = std::sqrt((1.0f - cosine) * (1.0f + cosine)) / cosine;
@@ -106,7 +106,8 @@ SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
 // Where the emission of triangles is an image: its value at a point of one, given the weights of the edges.
 SVGF_HD inline Vec3 sample_emission_map(const SceneView& scene, const Light& light, Vec2 share) {
     const EmissionMap& map = scene.lights.emission_maps[light.emission_map];
-    const Vec2 uv = map.corner[0] + (map.corner[1] - map.corner[0]) * share.x + (map.corner[2] - map.corner[0]) * share.y;
+    const Vec2 edge1 = map.corner[1] - map.corner[0], edge2 = map.corner[2] - map.corner[0];
+    const Vec2 uv = map.corner[0] + edge1 * share.x + edge2 * share.y;
     return sample_texture(scene.textures[map.texture], uv).xyz();
 }
 
@@ -194,11 +195,11 @@ SVGF_HD LightSample sample_light(const SceneView& scene, const Light& light, flo
     return sample;
 }
 
-// Light of a lamp that a ray crosses between t_min and t_hit, which is infinite where it hits nothing. Returns false where
-// it does not; else radiance is set, and pdf, without the probability of choosing the lamp. Lamps without size are never
-// crossed.
-SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, float t_min, float t_hit, Vec3& radiance,
-                               float& pdf) {
+// Light of a lamp that a ray crosses between t_min and t_hit, which is infinite where it hits nothing. Returns false
+// where it does not; else radiance is set, and pdf, without the probability of choosing the lamp. Lamps without size
+// are never crossed.
+SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, float t_min, float t_hit,
+                               Vec3& radiance, float& pdf) {
     if (light.is_delta != 0.0f || light.kind == LightKind::environment) return false;
     float spread = 1.0f;
     if (light.kind == LightKind::sun) {

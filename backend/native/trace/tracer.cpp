@@ -7,16 +7,25 @@
 
 #include "device/threads.h"
 #include "scene/bvh.h"
+#include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
+#include "trace/wavefront.h"
 
 namespace svgf {
 namespace {
 
+// Of surfaces, what takes most of the code and few scenes have.
+constexpr Effects rare_effects =
+    Effects::alpha | Effects::coat | Effects::sheen | Effects::anisotropy | Effects::material_mixes;
+
 // Every kernel is compiled once for each of these. The first one that covers the effects of a frame runs, so they go
-// from the cheapest to the one that covers everything.
+// from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
+// nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
-    without(Effects::all, Effects::specular | Effects::transmission),
+    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission),
+    without(Effects::all, rare_effects),
     Effects::all,
 };
 
@@ -228,6 +237,7 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     mesh_views_ = Buffer<MeshView>(device_, std::span<const MeshView>(views), "meshes");
     material_table_ = Buffer<std::int32_t>(device_, arrays.material_table, "the material table");
     scene_.nodes = nodes_.data();
+    scene_.has_one_instance = order.size() == 1;
     scene_.instance_order = instance_order_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
@@ -372,6 +382,8 @@ void Tracer::set_camera(const Cameras& arrays) {
     previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window, arrays.previous_lens);
 }
 
+std::span<const Effects> Tracer::kernels() { return kernel_effects; }
+
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
@@ -384,7 +396,8 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
     expect(scene_.albedo_tables, "There are no tables of albedos yet.");
-    return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
+    return with_kernel(Effects(frame.effects) | Effects(frame.kernel),
+                       [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 
 template <Effects kernel>
@@ -407,7 +420,11 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     }
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
     const bool splits_direct = frame.signals == Signals::direct_indirect;
-    const bool two_signals = splits_direct || covers(Effects(frame.effects), Effects::specular);
+    const Effects effects{frame.effects};
+    const bool has_specular = covers(effects, Effects::specular);
+    const bool two_signals = splits_direct || has_specular;
+    const bool has_motion =
+        (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
     Buffer<Hit> hits(device_, pixels, "primary hits");
     GbufferStage<kernel> gbuffer{
@@ -417,7 +434,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .sample = frame.sample,
         .seed = frame.seed,
         .box_filter = box_filter,
-        .camera_moves = covers(Effects(frame.effects), Effects::camera_motion),
+        .camera_moves = covers(effects, Effects::camera_motion),
         .transparent_bounces = frame.light_paths.transparent_bounces,
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
@@ -427,22 +444,19 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_material_id = integers("material_id"),
         .out_roughness = floats("roughness", 1),
         .out_diffuse_albedo = vectors("diffuse_albedo"),
-        .out_specular_albedo = vectors("specular_albedo"),
-        .out_motion = vectors("motion"),
+        .out_specular_albedo = has_specular ? vectors("specular_albedo") : nullptr,
+        .out_motion = has_motion ? vectors("motion") : nullptr,
     };
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
 
-    PathStage<kernel> path{
-        .scene = scene_,
-        .camera = camera_,
-        .sample = frame.sample,
-        .seed = frame.seed,
-        .limits = frame.light_paths,
-        .box_filter = box_filter,
-        .splits_direct = splits_direct,
+    const PathVertices<kernel> vertices{.scene = scene_,
+                                        .limits = frame.light_paths,
+                                        .transparent_film = frame.transparent_film,
+                                        .splits_direct = splits_direct,
+                                        .two_signals = two_signals};
+    RadianceImages radiance{
         .first_of_frame = true,
         .weight = 1.0f / float(frame.samples),
-        .in_hit = hits.data(),
         .out_emission = vectors("emission"),
         .out_first_signal = vectors(splits_direct ? "direct" : "diffuse"),
         .out_second_signal = two_signals ? vectors(splits_direct ? "indirect" : "specular") : nullptr,
@@ -450,11 +464,103 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     };
     // With a lens each sample has a ray of its own even through the middle of the pixel.
     const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;
-    for (int i = 0; i < frame.samples; ++i) {
-        device_.launch("path", frame.width, frame.height, path);
-        ++path.sample;
-        path.first_of_frame = false;
-        if (!same_rays) path.in_hit = nullptr;
+    if constexpr (Device::follows_paths_together) {
+        trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
+    } else {
+        PathStage<kernel> path{.vertices = vertices,
+                               .camera = camera_,
+                               .sample = frame.sample,
+                               .seed = frame.seed,
+                               .box_filter = box_filter,
+                               .in_hit = hits.data(),
+                               .out = radiance};
+        for (int i = 0; i < frame.samples; ++i) {
+            device_.launch("path", frame.width, frame.height, path);
+            ++path.sample;
+            path.out.first_of_frame = false;
+            if (!same_rays) path.in_hit = nullptr;
+        }
+    }
+    return images;
+}
+
+template <Effects kernel>
+void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+                             const Hit* first_hits, RadianceImages out) {
+    const int width = frame.width, height = frame.height, pixels = width * height;
+    const bool box_filter = frame.pixel_filter == PixelFilter::box;
+    // The last ray of a path only looks for light; what lets it straight through is a vertex, too.
+    const bool has_alpha = covers(Effects(frame.effects), Effects::alpha);
+    const int vertex_count = frame.light_paths.bounces + 2 + (has_alpha ? frame.light_paths.transparent_bounces + 1 : 0);
+    Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
+    Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
+    Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
+    Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
+    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
+    Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
+    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
+    const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
+    const auto path_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
+    };
+    const auto shadow_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
+    };
+    std::uint32_t sample = frame.sample;
+    for (int i = 0; i < frame.samples; ++i, ++sample) {
+        counts.clear();
+        if (i > 0 && !same_rays) {
+            device_.launch("path extend", width, height,
+                           FirstExtendStage<kernel>{scene_, camera_, sample, frame.seed, box_filter, hits.data()});
+            first_hits = hits.data();
+        }
+        device_.launch("path shade", width, height,
+                       FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
+                                               path_queue(1), shadow_queue(0)});
+        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
+                             ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, 0,
+                                                 shadow_queue(0).pixels});
+        for (int vertex = 1; vertex < vertex_count; ++vertex) {
+            const PixelQueue queue = path_queue(vertex);
+            device_.launch_queue("path extend", pixels, queue.count, ExtendStage{scene_, memory, queue.pixels});
+            device_.launch_queue("path shade", pixels, queue.count,
+                                 ShadeStage<kernel>{vertices, memory, width, sample, frame.seed, vertex, queue.pixels,
+                                                    path_queue(vertex + 1), shadow_queue(vertex)});
+            if (vertex + 1 < vertex_count)
+                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
+                                     ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, vertex,
+                                                         shadow_queue(vertex).pixels});
+            // Many vertices are rarely used up, and a launch for nothing costs time, too.
+            if (vertex % 16 == 0) {
+                std::int32_t left;
+                device_.download(&left, path_queue(vertex + 1).count, sizeof(left));
+                if (left == 0) break;
+            }
+        }
+        device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
+        out.first_of_frame = false;
+    }
+}
+
+std::vector<Image> Tracer::cast(std::span<const float> rays, int width, int height, bool any_hit) {
+    expect(width >= 1 && height >= 1 && std::int64_t(width) * height < (std::int64_t(1) << 28) &&
+               rays.size() == 8 * std::size_t(width) * std::size_t(height),
+           "Rays must be [H, W, 8], at least one and at most 2^28.");
+    const std::size_t count = std::size_t(width) * std::size_t(height);
+    const Buffer<GivenRay> in(device_, std::span(reinterpret_cast<const GivenRay*>(rays.data()), count), "rays");
+    std::vector<Image> images;
+    const auto integers = [&](const char* name) {
+        images.push_back({name, 1, Buffer<std::int32_t>(device_, count, name)});
+        return std::get<Buffer<std::int32_t>>(images.back().pixels).data();
+    };
+    if (any_hit) {
+        device_.launch("occluded", width, height, OccludedStage{scene_, width, in.data(), integers("occluded")});
+    } else {
+        images.push_back({"distance", 1, Buffer<float>(device_, count, "distance")});
+        float* const distance = std::get<Buffer<float>>(images.back().pixels).data();
+        std::int32_t* const instance = integers("instance");
+        device_.launch("closest", width, height,
+                       ClosestStage{scene_, width, in.data(), distance, instance, integers("triangle")});
     }
     return images;
 }

@@ -20,6 +20,11 @@
 
 namespace svgf {
 
+struct Hit;
+template <Effects kernel>
+struct PathVertices;
+struct RadianceImages;
+
 enum class PixelFilter { box, center };
 enum class Signals { diffuse_specular, direct_indirect };
 
@@ -91,6 +96,7 @@ public:
         LightPaths light_paths;
         bool transparent_film = false;
         std::uint32_t effects = 0;  // bits of Effects: all that the scene has, at least
+        std::uint32_t kernel = 0;   // more that the kernel must cover, to measure what it costs
         PixelFilter pixel_filter = PixelFilter::center;
         Signals signals = Signals::diffuse_specular;
     };
@@ -109,12 +115,24 @@ public:
     // Stages "gbuffer" and "path". The images: "normal" 3, "depth", "depth_gradient" 2, "object_id" (int),
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
-    // "direct" and "indirect"; "specular" is left out where the effects lack it. With a transparent film, "alpha" too.
+    // "direct" and "indirect". Left out: "specular" and "specular_albedo" where the effects lack specular, "motion" where
+    // nothing moves. With a transparent film, "alpha" too.
     std::vector<Image> trace(const Frame& frame);
+
+    // What each kernel simulates, from the cheapest on: the first one that covers a frame's effects runs.
+    static std::span<const Effects> kernels();
+
+    // rays: [height, width, 8], origin, direction, and the distances between which hits count, in lengths of the
+    // direction. Stage "closest": images "distance", infinity where nothing is hit, "instance" and "triangle" (int),
+    // -1 there. With any_hit stage "occluded": image "occluded" (int), 0 or 1.
+    std::vector<Image> cast(std::span<const float> rays, int width, int height, bool any_hit);
 
 private:
     template <Effects kernel>
     std::vector<Image> trace_with(const Frame& frame);
+    template <Effects kernel>
+    void trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+                         const Hit* first_hits, RadianceImages out);
 
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;

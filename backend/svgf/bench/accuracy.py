@@ -30,12 +30,13 @@ VARIANTS = (
     *(("none", samples) for samples in (1, 2, 4, 8, 16, 32, 64)),
     *(("eaw", samples) for samples in (1, 4)),
     *(("svgf", samples) for samples in (1, 2, 4, 8)),
+    *(("svgf+", samples) for samples in (1, 2, 4, 8)),
 )
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """One way to render one scene. method: "none", "eaw", "svgf", or INPUT for the noisy image that svgf was given at one
+    """One way to render one scene. method: "none", "eaw", "svgf", "svgf+", or INPUT for the noisy image that svgf was given at one
     sample. milliseconds: median per frame. Errors: means over the measured frames, as ``svgf.metrics`` defines them."""
 
     scene: str
@@ -94,7 +95,8 @@ def measure(
             frame = render(renderer, scene)
             if index >= unmeasured:
                 reference = references[index - unmeasured]
-                denoising = sum(ms for stage, ms in frame.timings.items() if stage not in ("update", "gbuffer", "path"))
+                before = ("update", "refit", "gbuffer", "path")
+                denoising = sum(ms for stage, ms in frame.timings.items() if stage not in before)
                 tracing = frame.timings["gbuffer"] + frame.timings["path"]
                 result.add(frame.color, reference, tracing + denoising)
                 given.add(frame.noisy, reference, tracing)

@@ -32,7 +32,7 @@ def denoise(
     layer: Annotated[
         str | None, typer.Option("--layer", metavar="NAME", help="The layer to denoise. Default: all render layers.")
     ] = None,
-    method: Annotated[str, typer.Option(metavar="NAME", help="svgf, eaw or none.")] = "svgf",
+    method: Annotated[str, typer.Option(metavar="NAME", help="svgf+, svgf, eaw or none.")] = "svgf+",
     device: DeviceOption = "auto",
     png: Annotated[bool, typer.Option("--png", help="Write a PNG beside each EXR, in the Standard view.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of the same names.")] = False,

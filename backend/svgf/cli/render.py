@@ -28,7 +28,7 @@ def render(
     bounces: Annotated[
         int | None, typer.Option(metavar="N", help="Light bounces; 0: direct light only. Default: what the file says.")
     ] = None,
-    method: Annotated[str, typer.Option(metavar="NAME", help="svgf, eaw or none.")] = "svgf",
+    method: Annotated[str, typer.Option(metavar="NAME", help="svgf+, svgf, eaw or none.")] = "svgf+",
     device: DeviceOption = "auto",
     seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
     png: Annotated[bool, typer.Option("--png", help="Write a PNG beside each EXR, in the Standard view.")] = False,

@@ -66,6 +66,47 @@ def atrous(
     )
 
 
+# svgf+: 3x3 binomial, per axis.
+BINOMIAL = (1.0 / 2.0, 1.0 / 4.0)
+
+
+def atrous_plus(
+    color: list[Any], variance: list[Any], guides: Guides, level: int, settings: Any
+) -> tuple[list[Any], list[Any]]:
+    """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian of the
+    luminance difference for Eq. 5, with the variance prefiltered at the first level alone."""
+    xp = namespace(guides.depth)
+    light = [luminance(c) for c in color]
+    filtered = [prefilter(v, guides) for v in variance] if level == 0 else variance
+    weight = [xp.zeros(light[0].shape) for _ in color]
+    color_sum = [xp.zeros(c.shape) for c in color]
+    variance_sum = [xp.zeros(v.shape) for v in variance]
+    for j in (-1, 0, 1):
+        for i in (-1, 0, 1):
+            dx, dy = i * 2**level, j * 2**level
+            w_geometry = edge_weight(guides, dx, dy, settings.sigma_depth, 0.0)
+            if (dx, dy) != (0, 0):
+                _, normal = tap(dx, dy, guides.normal)
+                cosine = (guides.normal * normal).sum(axis=-1)
+                w_geometry = w_geometry * xp.exp(settings.plus_sigma_normal * (cosine - 1.0))
+            w_geometry = w_geometry * BINOMIAL[abs(i)] * BINOMIAL[abs(j)]
+            for s in range(len(color)):
+                _, tap_color, tap_variance, tap_light = tap(dx, dy, color[s], variance[s], light[s])
+                exponent = (light[s] - tap_light) ** 2 / (
+                    settings.plus_sigma_luminance**2 * filtered[s] + LUMINANCE_EPSILON**2
+                )
+                w = w_geometry * xp.exp(-exponent)
+                weight[s] = weight[s] + w
+                color_sum[s] = color_sum[s] + w[..., None] * tap_color
+                variance_sum[s] = variance_sum[s] + w**2 * tap_variance
+    surface = guides.surface
+    total = [xp.where(surface, w, 1.0) for w in weight]
+    return (
+        [xp.where(surface[..., None], c / w[..., None], o) for c, w, o in zip(color_sum, total, color, strict=True)],
+        [xp.where(surface, v / w**2, 0.0) for v, w in zip(variance_sum, total, strict=True)],
+    )
+
+
 def camera_position(depth: Any, window: Any) -> Any:
     """[H, W, 3] where the surface is, in camera space. window: left, right, bottom, top of the image one unit ahead."""
     xp = namespace(depth)

@@ -107,8 +107,8 @@ class Camera:
     def depth_gradient(self, point: np.ndarray, depth: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """[n, 2]: derivatives by the image point of the depth at which its ray meets a plane, given its world normal.
 
-        The ray o + s d meets n (x - p) = 0 at s = n (p - o) / n d. Of a perspective camera only d changes, ds = -s (n dd)
-        / (n d); of an orthographic one only o, ds = -(n do) / (n d).
+        The ray o + s d meets n (x - p) = 0 at s = n (p - o) / n d. Of a perspective camera only d changes,
+        ds = -s (n dd) / (n d); of an orthographic one only o, ds = -(n do) / (n d).
         """
         left, right, bottom, top = self.window
         n = self.to_camera(normal)

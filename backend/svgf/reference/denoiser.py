@@ -2,6 +2,7 @@
 """The denoiser in float64: the order of the stages, and what goes from one frame to the next.
 
     method   stages
+    svgf+    demodulate -> temporal -> atrous x levels -> modulate -> antialias     ours
     svgf     demodulate -> temporal -> variance -> atrous x levels -> modulate      [Schied17]
     eaw      demodulate -> atrous x levels -> modulate                              [Dammertz10]
     none     demodulate -> modulate
@@ -14,12 +15,14 @@ from typing import Any
 
 from ..errors import InputError
 from ..settings import METHODS, DenoiseSettings, check_name
-from .atrous import atrous, edge_avoiding
-from .demodulate import demodulate, signal_albedo
+from .antialias import Resolved, antialias
+from .atrous import atrous, atrous_plus, edge_avoiding
+from .demodulate import demodulate, repair, signal_albedo
 from .device import Device
-from .guides import Guides, namespace, repair_guides
+from .guides import Guides, luminance, namespace, repair_guides
 from .modulate import modulate
 from .temporal import History, temporal
+from .temporal_plus import Fireflies, HistoryPlus, temporal_plus
 from .variance import variance
 
 # Every signal that can be denoised, and the albedos whose sum it is divided by.
@@ -39,18 +42,20 @@ class Denoiser:
     """Same methods as the native class. device: keeps the timings, may be None. settings: the fields of DenoiseSettings that differ from the
     defaults. Images may be numpy or CuPy arrays; results are float64 arrays of the same library.
 
-    history: what the next frame starts from, None before the first.
+    history, resolved: what the next frame starts from, None before the first.
     """
 
     def __init__(
-        self, device: Any, width: int, height: int, method: str = "svgf", settings: dict[str, float] | None = None
+        self, device: Any, width: int, height: int, method: str = "svgf+", settings: dict[str, float] | None = None
     ) -> None:
         check_name("Denoiser method", method, METHODS)
         self._device = device or Device()
         self.width, self.height, self.method = width, height, method
         self.settings = DenoiseSettings.from_dict(settings or {})
-        self.history: History | None = None
+        self.history: History | HistoryPlus | None = None
+        self.resolved: Resolved | None = None
         self._repaired = 0
+        self._fireflies = Fireflies(0, 0.0)
 
     def set_settings(self, settings: dict[str, float]) -> None:
         """Takes effect at the next frame; history stays."""
@@ -60,6 +65,10 @@ class Denoiser:
         """How many values of the last frame's images and history were no numbers or out of range."""
         return self._repaired
 
+    def fireflies(self) -> tuple[int, float]:
+        """How many samples of the last frame svgf+ scaled down, and the luminance over albedo that was cut, summed."""
+        return self._fireflies.samples, self._fireflies.light
+
     def denoise(self, inputs: dict[str, Any], reset: bool = False) -> dict[str, Any]:
         """inputs: images as ``svgf.Denoiser.denoise`` takes them, and optionally `window`; others are not read.
 
@@ -67,14 +76,26 @@ class Denoiser:
         """
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
         if reset or (self.history is not None and len(self.history.color) != len(signals)):
-            self.history = None
+            self.history = self.resolved = None
         timed = self._device.stage
         with timed("demodulate"):
             color, albedo, guides, repaired = self._demodulate(inputs, signals)
         xp = namespace(guides.depth)
         spread = None
         length = guides.surface.astype(xp.float64)
-        if self.method == "svgf":
+        if self.method == "svgf+":
+            with timed("temporal"):
+                self.history, spread, self._fireflies, count = temporal_plus(
+                    color, _specular(signals), guides, inputs.get("motion"), self.history, self.settings
+                )
+            repaired += count
+            color = self.history.color
+            length = xp.minimum.reduce(self.history.frames)
+            for level in range(self.settings.levels):
+                with timed("atrous"):
+                    color, spread = atrous_plus(color, spread, guides, level, self.settings)
+            self.history = replace(self.history, filtered=[luminance(c) for c in color])
+        elif self.method == "svgf":
             with timed("temporal"):
                 new, count = temporal(color, guides, inputs.get("motion"), self.history, self.settings)
             repaired += count
@@ -94,6 +115,13 @@ class Denoiser:
         with timed("modulate"):
             radiance, spread, count = modulate(color, spread, albedo, inputs.get("emission"))
         self._repaired = repaired + count
+        if self.method == "svgf+" and self.settings.antialias_frames > 1.0:
+            with timed("antialias"):
+                noisy, noise = self._noisy(inputs, signals), _noise(albedo, self.history.variance)
+                self.resolved = antialias(
+                    radiance, noisy, noise, guides.depth, inputs.get("motion"), self.resolved, self.settings
+                )
+            radiance = self.resolved.color
         return {"color": radiance, "variance": spread, "history_length": length}
 
     def stage(self, name: str, arrays: dict[str, Any], level: int = 0) -> dict[str, Any]:
@@ -101,10 +129,12 @@ class Denoiser:
 
         demodulate: the public images -> illumination0, guides.
         temporal: illumination0, guides, motion, and unless there is no history prev_ + guides, hist_color0,
-            hist_moments0, hist_length -> color0, moments0, history_length.
+            hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames, variance and drift,
+            hist_filtered0 the luminance after the filter, variance0 goes with color0; signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
         atrous: color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.
+        antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames -> color, resolved_frames.
         guides: normal, depth, depth_gradient, object_id.
         """
         signals = [signal for signal in SIGNAL_ALBEDOS if signal in arrays]
@@ -118,7 +148,18 @@ class Denoiser:
                 _listed(arrays, "color"), _listed(arrays, "variance") or None, albedos, arrays.get("emission")
             )
             return {"color": radiance, "variance": spread}
+        if name == "antialias":
+            history = Resolved(arrays["resolved"], arrays["resolved_frames"]) if "resolved" in arrays else None
+            variances = [moments[..., 1] for moments in _listed(arrays, "moments")]
+            noise = _noise([self._albedo(arrays, signal)[0] for signal in signals], variances)
+            new = antialias(
+                arrays["unresolved"], self._noisy(arrays, signals), noise, arrays["depth"], arrays.get("motion"), history,
+                self.settings,
+            )  # fmt: skip
+            return {"color": new.color, "resolved_frames": new.frames}
         guides = _guides(arrays, "")
+        if name == "temporal" and self.method == "svgf+":
+            return self._temporal_plus_stage(arrays, guides)
         if name == "temporal":
             history = None
             if "hist_length" in arrays:
@@ -144,9 +185,39 @@ class Denoiser:
             if self.method == "eaw":
                 window = arrays.get("window", DEFAULT_WINDOW)
                 return _numbered("color", edge_avoiding(color, guides, window, level, self.settings))
-            color, spread = atrous(color, _listed(arrays, "variance"), guides, level, self.settings)
+            level_of = atrous_plus if self.method == "svgf+" else atrous
+            color, spread = level_of(color, _listed(arrays, "variance"), guides, level, self.settings)
             return {**_numbered("color", color), **_numbered("variance", spread)}
         raise InputError(f'There is no denoiser stage "{name}".')
+
+    def _temporal_plus_stage(self, arrays: dict[str, Any], guides: Guides) -> dict[str, Any]:
+        history = None
+        if "hist_length" in arrays:
+            moments = _listed(arrays, "hist_moments")
+            history = HistoryPlus(
+                _listed(arrays, "hist_color"),
+                [m[..., 0] for m in moments],
+                [m[..., 1] for m in moments],
+                [m[..., 2] for m in moments],
+                _listed(arrays, "hist_filtered"),
+                _guides(arrays, "prev_"),
+            )
+        illumination = _listed(arrays, "illumination")
+        new, spread, self._fireflies, self._repaired = temporal_plus(
+            illumination, [False, True][: len(illumination)], guides, arrays.get("motion"), history, self.settings
+        )
+        xp = namespace(guides.depth)
+        moments = [xp.stack(m, axis=-1) for m in zip(new.frames, new.variance, new.drift, strict=True)]
+        return {
+            **_numbered("color", new.color),
+            **_numbered("variance", spread),
+            **_numbered("moments", moments),
+            "history_length": xp.minimum.reduce(new.frames),
+        }
+
+    def _noisy(self, inputs: dict[str, Any], signals: list[str]) -> Any:
+        lights = [inputs[name] for name in (*signals, "emission") if inputs.get(name) is not None]
+        return sum(repair(light)[0] for light in lights)
 
     def _demodulate(self, inputs: dict[str, Any], signals: list[str]) -> tuple[list[Any], list[Any], Guides, int]:
         guides, repaired = repair_guides(
@@ -164,6 +235,15 @@ class Denoiser:
     def _albedo(self, inputs: dict[str, Any], signal: str) -> tuple[Any, int]:
         given = [inputs[name] for name in SIGNAL_ALBEDOS[signal] if name in inputs]
         return signal_albedo(given, (self.height, self.width, 3), namespace(inputs[signal]))
+
+
+def _noise(albedos: list[Any], variances: list[Any]) -> Any:
+    """Variance of a noisy frame's luminance, signals taken as independent."""
+    return sum(variance * luminance(albedo) ** 2 for albedo, variance in zip(albedos, variances, strict=True))
+
+
+def _specular(signals: list[str]) -> list[bool]:
+    return [signal == "specular" for signal in signals]
 
 
 def _numbered(name: str, images: list[Any]) -> dict[str, Any]:

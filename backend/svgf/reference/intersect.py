@@ -148,6 +148,12 @@ class Geometry:
             lower[members], upper[members], filled[members] = centre - half, centre + half, True
         return lower, upper, filled
 
+    def start_of(self, instance: np.ndarray) -> np.ndarray:
+        """Where the triangles of the meshes of instances [n] start in the row of all meshes."""
+        if not len(self.instance_mesh):
+            return np.zeros(len(instance), dtype=np.int64)
+        return self.first_triangle[self.instance_mesh[instance]]
+
     def closest(
         self, origin: np.ndarray, direction: np.ndarray, t_min: np.ndarray, t_max: np.ndarray, kind: np.ndarray
     ) -> Hits:

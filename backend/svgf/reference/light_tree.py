@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choosing one of many lights by what they are likely to contribute at a point: a walk down the light tree [Conty18]."""
+"""Choosing one of many lights by what they are likely to contribute at a point: a walk down the tree [Conty18]."""
 
 from __future__ import annotations
 

@@ -49,6 +49,10 @@ class Mesh:
         self.box = (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else np.zeros((2, 3))
         self.hierarchy = Hierarchy(solid.min(axis=1), solid.max(axis=1), leaf_size=4)
 
+    def refit(self, device, positions, normals, previous_positions) -> bool:
+        """The reference makes meshes anew."""
+        return False
+
 
 class Shapes(Geometry):
     """Instances of meshes with all that is read at a hit. Arrays: see FlatScene."""

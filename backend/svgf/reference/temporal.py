@@ -7,15 +7,12 @@ of the old pixel with the expected previous depth; alpha = max(alpha, 1 / N); mo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from .guides import LARGEST_RADIANCE, Guides, in_range, luminance, namespace
-
-# Valid bilinear taps that weigh less than this altogether say less than the 3x3 search does.
-LEAST_TAP_WEIGHT = 0.01
-# Share of depth that the test forgives if motion does not say the expected previous depth.
-UNKNOWN_DEPTH_TOLERANCE = 0.1
+from .reprojection import LEAST_TAP_WEIGHT, reproject
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,39 +43,25 @@ def temporal(
     repaired = 0
 
     if history is not None:
-        if motion is None:
-            motion = xp.zeros((height, width, 3))
-        tolerance = settings.depth_tolerance
-        if motion.shape[-1] == 2:
-            tolerance = max(tolerance, UNKNOWN_DEPTH_TOLERANCE)
-        known = xp.isfinite(motion).all(axis=-1)
-        repaired += int((surface & ~known).sum())
-        motion = xp.where(known[..., None], motion, 0.0).astype(xp.float64)
-        rows, columns = xp.meshgrid(xp.arange(height), xp.arange(width), indexing="ij")
-        x, y = columns + motion[..., 0], rows + motion[..., 1]
-        reachable = surface & known & (x > -1.0) & (x < width) & (y > -1.0) & (y < height)
-        x, y = xp.where(reachable, x, 0.0), xp.where(reachable, y, 0.0)
-        expected = guides.depth + (motion[..., 2] if motion.shape[-1] == 3 else 0.0)
+        point = reproject(guides, history.guides, motion, settings)
+        repaired += point.repaired
+        good = usable(history)
+
+        def add(taps: Iterable[tuple[Any, Any, Any]], where: Any) -> int:
+            refused = 0
+            for column, row, share in taps:
+                share = xp.where(where, share, 0.0)
+                bad = ~good[xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)]
+                refused += int(((share > 0.0) & bad).sum())
+                mean.add(xp.where(bad, 0.0, share), column, row, history)
+            return refused
 
         mean = _Mean(len(illumination), (height, width), xp)
-        left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
-        for j in (0, 1):
-            for i in (0, 1):
-                share = (x - left if i else 1.0 - (x - left)) * (y - top if j else 1.0 - (y - top))
-                accepted, refused = _test(left + i, top + j, x, y, expected, tolerance, guides, history, settings)
-                repaired += int((refused & reachable & (share > 0.0)).sum())
-                mean.add(xp.where(accepted & reachable, share, 0.0), left + i, top + j, history)
+        repaired += add(point.bilinear(), surface)
         # Too little found: any of the 3x3 pixels around the nearest one will do.
-        searched = reachable & (mean.weight < LEAST_TAP_WEIGHT)
+        searched = point.reachable & (mean.weight < LEAST_TAP_WEIGHT)
         mean.forget(searched)
-        nearest_x, nearest_y = xp.floor(x + 0.5).astype(int), xp.floor(y + 0.5).astype(int)
-        for j in (-1, 0, 1):
-            for i in (-1, 0, 1):
-                accepted, refused = _test(
-                    nearest_x + i, nearest_y + j, x, y, expected, tolerance, guides, history, settings
-                )
-                repaired += int((refused & searched).sum())
-                mean.add(xp.where(accepted & searched, 1.0, 0.0), nearest_x + i, nearest_y + j, history)
+        repaired += add(point.neighbours(), searched)
         old_color, old_moments, length = mean.color, mean.moments(), mean.length
 
     length = xp.where(surface, length + 1.0, 0.0)
@@ -139,33 +122,6 @@ class _Mean:
         xp = self._xp
         weight = xp.where(self.weight > 0.0, self.weight, 1.0)
         return [xp.stack([m, s / weight], axis=-1) for m, s in zip(self._mean, self._squares, strict=True)]
-
-
-def _test(
-    column: Any,
-    row: Any,
-    x: Any,
-    y: Any,
-    expected: Any,
-    tolerance: float,
-    guides: Guides,
-    history: History,
-    settings: Any,
-) -> tuple[Any, Any]:
-    """Two bool [H, W]: history's pixel (column, row) saw the surface that was at (x, y); it did, but is no numbers."""
-    xp = namespace(guides.depth)
-    height, width = guides.depth.shape
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    row, column = xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)
-    old = history.guides
-    slope = old.gradient[row, column]
-    plane = old.depth[row, column] + slope[..., 0] * (x - column) + slope[..., 1] * (y - row)
-    allowed = tolerance * xp.abs(expected) + 0.5 * xp.abs(slope).sum(axis=-1)
-    same = inside & guides.surface & (old.object_id[row, column] == guides.object_id)
-    same &= xp.abs(plane - expected) <= allowed
-    same &= (old.normal[row, column] * guides.normal).sum(axis=-1) >= settings.normal_tolerance
-    good = usable(history)[row, column]
-    return same & good, same & ~good
 
 
 def usable(history: History) -> Any:

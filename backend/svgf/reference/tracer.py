@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..effects import Effects
+from ..effects import MOTION_EFFECTS, Effects
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
 from .camera import Camera, pixel_centers
@@ -92,6 +92,7 @@ class Tracer:
         signals: str,
         light_paths: tuple = (),
         transparent_film: bool = False,
+        kernel: int = 0,
     ) -> dict[str, np.ndarray]:
         """Images [height, width] or [height, width, channels] by name: those of the G-buffer, of the first sample, then
         "emission" and the signals, means over samples.
@@ -99,7 +100,8 @@ class Tracer:
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
         "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
-        seen by the camera, and there is an image "alpha".
+        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion" only with
+        an effect that moves something. kernel: of no account here, there is only one.
         """
         camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
             self._camera_rows
@@ -132,8 +134,30 @@ class Tracer:
                     images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
                 trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
+        if not Effects(effects) & Effects.SPECULAR:
+            del images["specular_albedo"]
+        if not Effects(effects) & MOTION_EFFECTS:
+            del images["motion"]
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
+
+    def cast(self, rays: np.ndarray, any_hit: bool) -> dict[str, np.ndarray]:
+        """rays [H, W, 8]: origin, direction, and the distances between which hits count, in lengths of the direction.
+
+        Images "distance", infinity where nothing is hit, "instance" and "triangle", -1 there; with any_hit "occluded", 0 or 1.
+        """
+        shape, rays = rays.shape[:2], np.asarray(rays, dtype=np.float64).reshape(-1, 8)
+        everything = np.full(len(rays), int(RayVisibility.ALL))
+        with self._device.stage("occluded" if any_hit else "closest"):
+            hits = self._shapes.closest(rays[:, :3], rays[:, 3:6], rays[:, 6], rays[:, 7], everything)
+        if any_hit:
+            return {"occluded": hits.found.astype(np.int32).reshape(shape)}
+        images = {
+            "distance": np.where(hits.found, hits.t, np.inf),
+            "instance": np.where(hits.found, hits.instance, -1).astype(np.int32),
+            "triangle": np.where(hits.found, hits.triangle - self._shapes.start_of(hits.instance), -1).astype(np.int32),
+        }
+        return {name: image.reshape(shape) for name, image in images.items()}
 
     def _make_world(self) -> World:
         if not self._world:

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage "antialias" of svgf+: resolves over time what lies within a pixel. The reasons stand in
+native/denoise/antialias.h."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from .guides import namespace, tap
+
+# Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
+MOVING_BOX = 1.0
+STILL_BOX = 4.0
+STILL_MARGIN = 0.02
+STILL_FRAMES = 24.0
+STILL_RATE = 1.25
+# Of the brightest of the 3x3 pixels: what black counts for in their geometric mean.
+BLACK = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """color [H, W, 3] and the frames [H, W] that are in it."""
+
+    color: Any
+    frames: Any
+
+
+def antialias(
+    color: Any, noisy: Any, noise: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
+) -> Resolved:
+    """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired;
+    noise [H, W]: the variance of its luminance. depth [H, W]. motion [H, W, 2 or
+    3], None: nothing moved."""
+    xp = namespace(color)
+    height, width = depth.shape
+    rows, columns = xp.meshgrid(xp.arange(height), xp.arange(width), indexing="ij")
+    motion = xp.zeros((height, width, 2)) if motion is None else motion[..., :2].astype(xp.float64)
+    motion = xp.where(xp.isfinite(motion).all(axis=-1)[..., None], motion, -xp.inf)
+
+    around = [tap(dx, dy, color, depth, motion) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    inside = xp.stack([taken for taken, *_ in around])
+    colors = xp.stack([c for _, c, _, _ in around])
+    white = _white(colors, inside)
+
+    def map_(c: Any) -> Any:
+        return c / (white[..., None] + c.max(axis=-1, keepdims=True) + 1e-30)
+
+    def unmap(c: Any) -> Any:
+        return xp.maximum(c, 0.0) * white[..., None] / xp.maximum(1.0 - c.max(axis=-1, keepdims=True), 1e-4)
+
+    count = inside.sum(axis=0)[..., None]
+    mapped = xp.stack([xp.where(taken[..., None], map_(c), 0.0) for taken, c in zip(inside, colors, strict=True)])
+    mean = mapped.sum(axis=0) / count
+    deviation = xp.sqrt((xp.where(inside[..., None], mapped - mean, 0.0) ** 2).sum(axis=0) / count)
+
+    # What stands in front leads: its own pixel where no other is nearer.
+    front, nearest = motion, depth
+    for taken, _, other_depth, other_motion in around:
+        nearer = taken & (other_depth < nearest)
+        front = xp.where(nearer[..., None], other_motion, front)
+        nearest = xp.where(nearer, other_depth, nearest)
+    x, y = columns + front[..., 0], rows + front[..., 1]
+    reachable = (x >= 0.0) & (y >= 0.0) & (x <= width - 1) & (y <= height - 1)
+    x, y = xp.where(reachable, x, 0.0), xp.where(reachable, y, 0.0)
+    past_linear, past, frames = xp.zeros(color.shape), xp.zeros(color.shape), xp.zeros(depth.shape)
+    if history is not None:
+        left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
+        for j in (0, 1):
+            for i in (0, 1):
+                share = (x - left if i else 1.0 - (x - left)) * (y - top if j else 1.0 - (y - top))
+                share = xp.where(reachable, share, 0.0)
+                row, column = xp.minimum(top + j, height - 1), xp.minimum(left + i, width - 1)
+                tapped = history.color[row, column]
+                past_linear = past_linear + share[..., None] * tapped
+                past = past + share[..., None] * map_(tapped)
+                frames = frames + share * history.frames[row, column]
+
+    known = frames > 0.5
+    still = known & (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
+    settled = still & (frames > STILL_FRAMES - 0.5)
+    uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
+    margin = xp.where(settled, STILL_MARGIN + uncertain, 1e-6)[..., None]
+    extent = xp.where(settled[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
+    excess = (xp.abs(past - mean) / extent).max(axis=-1)
+    goes_on = settled & (excess <= 1.0)
+    kept = xp.where(settled & ~goes_on, 0.0, frames)
+    clipped = xp.where((excess > 1.0)[..., None], mean + (past - mean) / xp.maximum(excess, 1.0)[..., None], past)
+    n = xp.where(still, kept + 1.0, xp.minimum(kept + 1.0, settings.antialias_frames))
+    n = xp.where(known, n, 1.0)
+    resolved = unmap(clipped + (map_(color) - clipped) / n[..., None])
+    resolved = xp.where(known[..., None], resolved, color)
+    resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) * (STILL_RATE / n[..., None]), resolved)
+    return Resolved(resolved, n)
+
+
+def _white(colors: Any, inside: Any) -> Any:
+    """The geometric mean of the 3x3 pixels' brightness, [H, W]."""
+    xp = namespace(colors)
+    brightness = xp.where(inside, colors.max(axis=-1), 0.0)
+    most = brightness.max(axis=0)
+    logarithms = xp.where(inside, xp.log(brightness + BLACK * most + 1e-30), 0.0)
+    return xp.exp(logarithms.sum(axis=0) / inside.sum(axis=0))

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage "temporal" of svgf+: firefly limit, reprojection, running means and the variance that is left in them. What is done
+otherwise than in [Schied17], and why, stands in native/denoise/temporal_plus.h."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from .guides import Guides, luminance, namespace, tap
+from .reprojection import LEAST_TAP_WEIGHT, Reprojection, reproject
+
+# What the neighbours' mean, without the brightest, counts for beside history.
+NEIGHBOUR_SHARE = 0.1
+# Weight of a frame in the drift, and how far it counts one sample, in standard deviations.
+DRIFT_RATE = 0.3
+LARGEST_RESIDUAL = 4.0
+# Of the local brightness: history may be off by this much whatever the variance.
+CLAMP_MARGIN = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryPlus:
+    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W] of
+    a sample's luminance, the drift [H, W] of samples from history in deviations, and the luminance [H, W] after the filter;
+    the guides they belong to."""
+
+    color: list[Any]
+    frames: list[Any]
+    variance: list[Any]
+    drift: list[Any]
+    filtered: list[Any]
+    guides: Guides
+
+
+@dataclass(frozen=True)
+class Fireflies:
+    """samples: that were brighter than the limit. light: luminance over albedo that was cut from them."""
+
+    samples: int
+    light: float
+
+
+def temporal_plus(
+    illumination: list[Any],
+    is_specular: list[bool],
+    guides: Guides,
+    motion: Any,
+    history: HistoryPlus | None,
+    settings: Any,
+) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
+    """illumination [H, W, 3], is_specular: per signal. motion: [H, W, 2 or 3], None: nothing moved.
+
+    Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance [H, W] of the mean, as the filter takes it; what the limit cut;
+    and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
+    """
+    xp = namespace(guides.depth)
+    shape = guides.depth.shape
+    surface = guides.surface
+    none = [xp.zeros(shape) for _ in illumination]
+    old_color, old_frames, old_variance, expected = [xp.zeros((*shape, 3)) for _ in illumination], none, none, none
+    drifts = none
+    found, moves, repaired = xp.zeros(shape, bool), xp.zeros(shape, bool), 0
+    if history is not None:
+        point = reproject(guides, history.guides, motion, settings)
+        repaired = point.repaired
+        rows, columns = xp.meshgrid(xp.arange(shape[0]), xp.arange(shape[1]), indexing="ij")
+        moves = point.reachable & ((point.x != columns) | (point.y != rows))
+        found, (old_color, old_frames, old_variance, expected) = _read(point, history)
+        drifts = [xp.where(found, _around(point, image), 0.0) for image in history.drift]
+
+    near = _neighbours(illumination, guides, settings.normal_tolerance)
+    count = sum(same for same, _ in near)
+    colors, frames, variances, new_drifts, spreads = [], [], [], [], []
+    fireflies, cut = 0, 0.0
+    for s, new in enumerate(illumination):
+        # The limit, by what history and the neighbours say.
+        lights = [xp.where(same, luminance(color[s]), 0.0) for same, color in near]
+        several = count > 1
+        local = (sum(lights) - xp.maximum.reduce(lights)) / xp.where(several, count - 1, 1)
+        local = xp.where(several, xp.maximum(local, 0.0), luminance(new))
+        known = xp.maximum(expected[s], xp.where(several, NEIGHBOUR_SHARE * local, 0.0))
+        limit = settings.firefly_limit * xp.where(found, known, local)
+        sample = _limited(new, limit)
+        above = surface & (luminance(new) > limit)
+        fireflies += int(above.sum())
+        cut += float((luminance(new) - limit)[above].sum())
+
+        # Mean and variance of the 3x3 samples.
+        taps = [xp.where(same[..., None], _limited(color[s], limit), 0.0) for same, color in near]
+        mean = (sample + sum(taps)) / (count + 1)[..., None]
+        mean_light = luminance(mean)
+        squares = (luminance(sample) - mean_light) ** 2
+        for (same, _), color in zip(near, taps, strict=True):
+            squares = squares + xp.where(same, (luminance(color) - mean_light) ** 2, 0.0)
+        spread = xp.where(count > 0, squares / xp.maximum(count, 1), luminance(sample) ** 2)
+
+        # Light that has changed.
+        kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / settings.change_threshold, 0.0, 1.0)
+        changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
+        left = old_frames[s] * kept_of_change
+        n = left + 1.0
+        n = xp.where(moves, xp.minimum(n, settings.history_frames), n)
+        variance = old_variance[s] + (spread - old_variance[s]) / n
+        deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
+        residual = (luminance(sample) - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
+        drift = drifts[s] * kept_of_change
+        drift = drift + (xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL) - drift) * DRIFT_RATE
+        # History that is too far from the samples is drawn to them, and counts as shorter.
+        sharper = 1.0 / settings.specular_sharpness if is_specular[s] else 1.0
+        distance = xp.abs(luminance(changed) - mean_light)
+        clamp = settings.specular_history_clamp if is_specular[s] else settings.history_clamp
+        allowed = clamp * xp.sqrt(variance) + CLAMP_MARGIN * mean_light
+        far = found & (distance > allowed)
+        kept = xp.where(far, allowed / xp.where(far, distance, 1.0), 1.0)
+        past = xp.where(far[..., None], mean + (changed - mean) * kept[..., None], changed)
+        shorter = xp.maximum(left * kept, 1.0) + 1.0
+        n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.history_frames), shorter), n)
+
+        colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
+        frames.append(xp.where(surface, n, 0.0))
+        new_drifts.append(xp.where(surface & found, drift, 0.0))
+        variances.append(xp.where(surface, variance, 0.0))
+        spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
+    return HistoryPlus(colors, frames, variances, new_drifts, none, guides), spreads, Fireflies(fireflies, cut), repaired
+
+
+def _limited(color: Any, limit: Any) -> Any:
+    xp = namespace(color)
+    light = luminance(color)
+    return color * xp.where(light > limit, limit / xp.where(light > limit, light, 1.0), 1.0)[..., None]
+
+
+def _neighbours(illumination: list[Any], guides: Guides, normal_tolerance: float) -> list[tuple[Any, list[Any]]]:
+    """For each of the eight pixels around: bool [H, W], it shows the same surface; and its illumination per signal."""
+    result = []
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            if (dx, dy) == (0, 0):
+                continue
+            inside, normal, object_id, *colors = tap(dx, dy, guides.normal, guides.object_id, *illumination)
+            same = inside & guides.surface & (object_id == guides.object_id)
+            same &= (normal * guides.normal).sum(axis=-1) >= normal_tolerance
+            result.append((same, colors))
+    return result
+
+
+def _around(point: Reprojection, image: Any) -> Any:
+    """The mean of a cross of five pixels around the nearest one, whatever they show."""
+    xp = namespace(image)
+    height, width = image.shape
+    x, y = xp.floor(point.x + 0.5).astype(int), xp.floor(point.y + 0.5).astype(int)
+    cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+    return sum(image[xp.clip(y + dy, 0, height - 1), xp.clip(x + dx, 0, width - 1)] for dx, dy in cross) / len(cross)
+
+
+def _read(point: Reprojection, history: HistoryPlus) -> tuple[Any, tuple[list[Any], ...]]:
+    """bool [H, W]: there is history; and its weighted means, per signal."""
+    xp = namespace(point.x)
+    height, width = point.x.shape
+
+    def mean(taps: Any) -> tuple[Any, list[list[Any]]]:
+        weight = xp.zeros((height, width))
+        images = [history.color, history.frames, history.variance, history.filtered]
+        sums = [[xp.zeros(image.shape) for image in kind] for kind in images]
+        for column, row, share in taps:
+            row, column = xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)
+            weight = weight + share
+            for kind, totals in zip(images, sums, strict=True):
+                for s, image in enumerate(kind):
+                    totals[s] = totals[s] + (share[..., None] if image.ndim == 3 else share) * image[row, column]
+        safe = xp.where(weight > 0.0, weight, 1.0)
+        return weight, [[t / (safe[..., None] if t.ndim == 3 else safe) for t in totals] for totals in sums]
+
+    weight, near = mean(point.bilinear())
+    searched = weight < LEAST_TAP_WEIGHT
+    other_weight, other = mean(point.neighbours())
+    found = xp.where(searched, other_weight, weight) > 0.0
+    return found, tuple(
+        [
+            xp.where(searched[..., None] if a.ndim == 3 else searched, b, a)
+            for a, b in zip(first, second, strict=True)
+        ]
+        for first, second in zip(near, other, strict=True)
+    )

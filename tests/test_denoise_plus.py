@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""svgf+: each stage against the float64 reference, and what the method promises: energy, lag, ghosts, still views."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svgf.denoiser import Denoiser
+from svgf.metrics import relative_mse
+from svgf.reference.denoiser import Denoiser as ReferenceDenoiser
+from svgf.settings import DenoiseSettings
+
+from .test_denoise_stages import GUIDES, HEIGHT, WIDTH, as_reference_images, make_images, run
+from .test_denoiser import make_frame
+
+# Colours share an exponent and keep 14 bits (core/packing.h): in, out and within the sums.
+COLOR_ERROR = 4 * 2.0**-14
+
+
+def make_plus_images(rng, signals=2):
+    """As make_images, with a history that a frame of svgf+ may have left: frames and variance as moments."""
+    images = make_images(rng, signals)
+    for name in GUIDES:
+        images[f"prev_{name}"] = images[name]
+    for s in range(signals):
+        frames = rng.integers(1, 9, (HEIGHT, WIDTH)) * (images["object_id"] != 0)
+        images[f"hist_filtered{s}"] = rng.gamma(1.0, 0.1, frames.shape).astype(np.float32)
+        # Numbers that the packing keeps exactly: 6 bits of deviation, steps of 1/32 of drift.
+        mantissa, exponent = np.frexp(rng.gamma(1.0, 1.0, frames.shape))
+        deviation = np.ldexp(np.round(mantissa * 64.0) / 64.0, exponent)
+        drift = np.round(rng.normal(0.0, 0.5, frames.shape) * 32.0) / 32.0
+        images[f"hist_moments{s}"] = np.stack([frames, deviation**2, drift], axis=-1).astype(np.float32)
+    return images
+
+
+def expect(stage, images, level=0, **settings):
+    oracle = ReferenceDenoiser(None, WIDTH, HEIGHT, "svgf+", settings)
+    return oracle.stage(stage, as_reference_images(images), level), oracle
+
+
+def assert_colors_agree(actual, expected, share=1.0, error=COLOR_ERROR):
+    """share: of the pixels that must agree; where a test decides, rounding may decide otherwise."""
+    scale = np.maximum(expected.max(axis=-1), 1e-6)
+    assert (np.abs(actual - expected).max(axis=-1) <= error * scale).mean() >= share
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+@pytest.mark.parametrize("channels", [0, 2, 3])
+def test_temporal_agrees(device, signals, channels):
+    images = make_plus_images(np.random.default_rng(21), signals)
+    if channels:
+        images["motion"] = images["motion"][..., :channels].copy()
+    else:
+        del images["motion"]
+    expected, _ = expect("temporal", images)
+    actual, _ = run(device, "svgf+", "temporal", images)
+    surface = images["object_id"] != 0
+    for s in range(signals):
+        largest = np.maximum(images[f"hist_color{s}"], images[f"illumination{s}"]).max()
+        assert_colors_agree(actual[f"color{s}"], expected[f"color{s}"], 0.99, COLOR_ERROR * largest)
+        # Deviations keep 6 bits and are rounded at random, twice; drift has steps of 1/32.
+        good = np.isclose(actual[f"variance{s}"], expected[f"variance{s}"], rtol=0.08, atol=1e-5)
+        assert good[surface].mean() >= 0.99
+        good = np.isclose(actual[f"moments{s}"], expected[f"moments{s}"], rtol=0.12, atol=0.05)
+        assert good[surface].mean() >= 0.98
+        assert (actual[f"variance{s}"] >= 0.0).all()
+    assert np.isclose(actual["history_length"], expected["history_length"], rtol=0.02, atol=0.07).mean() >= 0.99
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+@pytest.mark.parametrize("signals", [1, 2])
+def test_atrous_agrees(device, signals, level):
+    images = make_images(np.random.default_rng(22), signals)
+    expected, _ = expect("atrous", images, level)
+    actual, _ = run(device, "svgf+", "atrous", images, level)
+    for s in range(signals):
+        # Weights feel the rounding of normals (1e-4 rad), gradients and deviations (2^-9).
+        assert_colors_agree(actual[f"color{s}"], expected[f"color{s}"], 1.0, 0.03)
+        errors = np.abs(actual[f"color{s}"] - expected[f"color{s}"]) / expected[f"color{s}"].max(axis=-1, keepdims=True)
+        assert errors.mean() < 2e-3
+        np.testing.assert_allclose(actual[f"variance{s}"], expected[f"variance{s}"], rtol=0.1, atol=1e-6)
+
+
+@pytest.mark.parametrize("frames", [0, 4, 40])
+@pytest.mark.parametrize("moves", [False, True])
+def test_antialias_agrees(device, frames, moves):
+    rng = np.random.default_rng(23)
+    images = make_images(rng, 2)
+    for s in range(2):
+        images[f"moments{s}"] = np.stack([np.ones((HEIGHT, WIDTH))] * 3, axis=-1).astype(np.float32)
+    images["unresolved"] = rng.gamma(0.7, 1.5, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    if frames:
+        images["resolved"] = rng.gamma(0.7, 1.5, (HEIGHT, WIDTH, 3)).astype(np.float32)
+        images["resolved_frames"] = np.full((HEIGHT, WIDTH), frames, np.float32)
+    if not moves:
+        images["motion"][:] = 0.0
+    expected, _ = expect("antialias", images)
+    actual, _ = run(device, "svgf+", "antialias", images)
+    if moves:
+        images["motion"][:] = np.round(images["motion"])
+    assert_colors_agree(actual["color"], expected["color"], 0.99, 0.01)
+    assert np.isclose(actual["resolved_frames"], expected["resolved_frames"], rtol=0.01).mean() >= 0.99
+    if frames == 40 and not moves:
+        assert (actual["resolved_frames"] == 41.0).any()
+
+
+def test_frames_agree_with_the_reference(device):
+    """Six frames, end to end; where a limit or a box decides, packing may turn it, so most pixels are asked, not all."""
+    if device.name == "reference":
+        pytest.skip("against itself")
+    rng = np.random.default_rng(24)
+    native, reference = Denoiser(40, 24, device, "svgf+"), Denoiser(40, 24, "reference", "svgf+")
+    for _ in range(6):
+        frame = noisy_frame(rng)
+        actual, expected = native.denoise(frame), reference.denoise(frame)
+    error = np.abs(actual["color"] - expected["color"]).max(axis=-1) / expected["color"].max(axis=-1)
+    assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
+    np.testing.assert_allclose(actual["history_length"], expected["history_length"], atol=0.5)
+    assert native.fireflies[0] == pytest.approx(reference.fireflies[0], abs=2)
+
+
+def noisy_frame(rng, radiance=1.0, shape=0.5):
+    """One surface, albedo 1/2, samples of a gamma distribution (relative variance 1 / shape)."""
+    frame = make_frame(radiance=radiance)
+    noise = rng.gamma(shape, 1.0 / shape, frame["depth"].shape).astype(np.float32)
+    frame["diffuse"] = frame["diffuse"] * noise[..., None]
+    return frame
+
+
+def test_constant_radiance_is_a_fixed_point(device):
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    for count in range(1, 40):
+        result = denoiser.denoise(make_frame(radiance=3.0))
+        np.testing.assert_allclose(result["color"], 1.5, rtol=2.0**-13)
+        np.testing.assert_array_equal(result["history_length"], count)
+    assert denoiser.fireflies == (0, 0.0)
+
+
+def test_energy_of_a_settled_scene(device):
+    """The mean over 40 frames and all pixels, within 0.5 %; that of so many samples strays by 0.23 %."""
+    rng = np.random.default_rng(25)
+    frames = [noisy_frame(rng) for _ in range(40)]
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    for frame in frames:
+        result = denoiser.denoise(frame)
+    given = np.mean([frame["diffuse"] for frame in frames])
+    assert result["color"].mean() == pytest.approx(given, rel=0.005)
+
+
+def test_fireflies_are_cut_and_counted(device):
+    rng = np.random.default_rng(26)
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    for _ in range(4):
+        denoiser.denoise(noisy_frame(rng))
+    frame = noisy_frame(rng)
+    frame["diffuse"][12, 20] = 5e5
+    result = denoiser.denoise(frame)
+    samples, light = denoiser.fireflies
+    assert 1 <= samples <= 3 and light == pytest.approx(1e6, rel=0.01)
+    assert result["color"].max() < 10.0
+    denoiser.settings = DenoiseSettings(firefly_limit=1e18)
+    denoiser.denoise(frame)
+    assert denoiser.fireflies == (0, 0.0)
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_a_lamp_that_is_switched_shows_within_five_frames(device, factor):
+    rng = np.random.default_rng(27)
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    for _ in range(24):
+        before = denoiser.denoise(noisy_frame(rng, shape=4.0))["color"].mean()
+    for _ in range(5):
+        result = denoiser.denoise(noisy_frame(rng, radiance=factor, shape=4.0))
+    assert (result["color"].mean() - before) / (0.5 * factor - before) >= 0.9
+
+
+def test_no_ghost_of_what_has_left(device):
+    """Eight frames after a bright box left, less than 1 % of the contrast is seen where it was."""
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    for _ in range(10):
+        frame = make_frame(radiance=1.0)
+        box = np.s_[8:16, 10:20]
+        frame["diffuse"][box], frame["depth"][box], frame["object_id"][box] = 10.0, 5.0, 2
+        denoiser.denoise(frame)
+    for _ in range(8):
+        result = denoiser.denoise(make_frame(radiance=1.0))
+    assert np.abs(result["color"][6:18, 8:22] - 0.5).max() < 0.01 * 9.5
+
+
+def test_a_still_view_converges_to_its_samples(device):
+    """After 1024 frames the error is at most 1.1 times that of the plain mean of the same samples."""
+    if device.name == "reference":
+        pytest.skip("a thousand frames in numpy take a minute")
+    rng = np.random.default_rng(28)
+    denoiser = Denoiser(40, 24, device, "svgf+")
+    y, x = np.mgrid[:24, :40]
+    truth = make_frame()["diffuse"] * (1.0 + 0.8 * np.sin(0.9 * x) * np.cos(1.1 * y))[..., None].astype(np.float32)
+    total = np.zeros(truth.shape)
+    for _ in range(1024):
+        frame = make_frame()
+        frame["diffuse"] = truth * rng.gamma(0.5, 2.0, (24, 40, 1)).astype(np.float32)
+        total += frame["diffuse"]
+        result = denoiser.denoise(frame)
+    assert relative_mse(result["color"], truth) <= 1.1 * relative_mse(total / 1024, truth)
+
+
+def test_a_zoom_keeps_its_history(device):
+    """The camera comes nearer by 2 % each frame; 95 % of the pixels go on."""
+    height, width = 24, 40
+    denoiser = Denoiser(width, height, device, "svgf+")
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    depth = 10.0
+    for _ in range(8):
+        frame = make_frame()
+        nearer = depth * 0.98
+        frame["depth"][:] = nearer
+        center = (np.float32([width, height]) - 1.0) / 2.0
+        position = np.stack([x, y], axis=-1)
+        back = center + (position - center) * (nearer / depth) - position
+        frame["motion"] = np.concatenate([back, np.full((height, width, 1), depth - nearer)], axis=-1).astype(np.float32)
+        depth = nearer
+        result = denoiser.denoise(frame)
+    assert (result["history_length"] > 7.5).mean() >= 0.95
