@@ -23,13 +23,13 @@ SINGLE = (
     dataclasses.replace(COAT, name="tinted coat", coat_tint=(0.9, 0.4, 0.2), coat_ior=1.8, metallic=0.5),
     Material("sheen", base_color=(0.3, 0.1, 0.1), sheen_weight=0.9, sheen_roughness=0.4, sheen_tint=(0.9, 1.0, 0.5)),
     Material("soft sheen", base_color=(0.2, 0.2, 0.5), sheen_weight=1.0, sheen_roughness=0.9, ior=1.0),
-    Material("brushed", base_color=(0.9, 0.8, 0.6), metallic=0.8, roughness=0.5, anisotropic=0.8, anisotropic_rotation=0.2),
+    Material("brushed", base_color=(0.9, 0.8, 0.6), metallic=0.8, anisotropic=0.8, anisotropic_rotation=0.2),
     Material("glossy", kind=MaterialKind.GLOSSY, base_color=(0.8, 0.5, 0.3), roughness=0.5),
     Material("long glossy", kind=MaterialKind.GLOSSY, roughness=0.4, anisotropic=0.7),
     Material("wide glossy", kind=MaterialKind.GLOSSY, roughness=0.4, anisotropic=-0.7, anisotropic_rotation=0.1),
     Material("tinted glass", kind=MaterialKind.GLASS, base_color=(0.9, 0.6, 0.5), roughness=0.4),
     Material("thin glass", kind=MaterialKind.GLASS, base_color=(0.9, 0.9, 0.9), roughness=0.7, ior=0.6),
-    Material("principled glass", base_color=(0.8, 0.6, 0.9), transmission=0.8, roughness=0.5, specular_tint=(1.0, 0.6, 0.3)),
+    Material("principled glass", base_color=(0.8, 0.6, 0.9), transmission=0.8, specular_tint=(1.0, 0.6, 0.3)),
     Material("refraction", kind=MaterialKind.REFRACTION, base_color=(0.9, 0.8, 0.7), roughness=0.4),
     Material("translucent", kind=MaterialKind.TRANSLUCENT, base_color=(0.6, 0.8, 0.4)),
     Material(
@@ -124,7 +124,7 @@ def varied_scenes() -> dict[str, Scene]:
     red = Material("red", kind=MaterialKind.DIFFUSE, base_color=(0.8, 0.1, 0.1))
     glow = Material("glow", emission=(2.0, 1.0, 0.5), base_color=(0.1, 0.1, 0.1))
     mix = Material("mix", kind=MaterialKind.MIX, first=2, second=3, factor=0.3)
-    lit_coat = Material("lit coat", emission=(1.0, 0.7, 0.4), coat_weight=0.8, coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
+    lit_coat = dataclasses.replace(COAT, emission=(1.0, 0.7, 0.4), coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
     return {
         "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),

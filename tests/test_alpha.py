@@ -41,13 +41,15 @@ def test_a_sum_with_transparent_adds_the_surface(device):
     glow = Material("glow", kind=MaterialKind.DIFFUSE, base_color=(0.0, 0.0, 0.0), emission=(0.5, 0.5, 0.5))
     scene = curtain(1, BLACK)
     both = Material("both", kind=MaterialKind.ADD, first=2, second=3)
-    images = trace(device, dataclasses.replace(scene, materials=(both, scene.materials[1], film, glow)), 16, 9, samples=64)
+    scene = dataclasses.replace(scene, materials=(both, scene.materials[1], film, glow))
+    images = trace(device, scene, 16, 9, samples=64)
     assert_mean(radiance(images)[..., 0], 1.5, rounding=1e-4)
 
 
 def test_shadows_of_alpha_are_shares(device):
     """A sun through sheets on a floor: light times the product of what they let pass, without noise."""
-    sheets = [dataclasses.replace(BLACK, alpha=0.4), Material("film", kind=MaterialKind.TRANSPARENT, base_color=(0.5,) * 3)]
+    film = Material("film", kind=MaterialKind.TRANSPARENT, base_color=(0.5, 0.5, 0.5))
+    sheets = [dataclasses.replace(BLACK, alpha=0.4), film]
     sun = scenes.lamp(LightKind.SUN, eye=(0, 0, 5), size=(0.0, 0.0))
     objects = [(scenes.quad(4.0), scenes.transform(), [scenes.WHITE])]
     objects += [(scenes.quad(8.0), scenes.transform((0, 0, 2.0 + i)), [sheet]) for i, sheet in enumerate(sheets)]

@@ -71,6 +71,8 @@ MATERIAL_COLUMNS = {
     "multiscatter": 43,
     "light_emission": 44,
 }
+# Beyond these Fresnel's terms lose their digits.
+SMALLEST_IOR, LARGEST_IOR = 1e-5, 1000.0
 # A normal map's texel that leaves the normal as it is.
 NEUTRAL_NORMAL = (0.5, 0.5, 1.0)
 
@@ -392,6 +394,8 @@ def material_rows(materials: tuple[Material, ...]) -> np.ndarray:
             value = getattr(material, name, None)
             if value is not None:
                 row[column : column + np.size(value)] = value
+        for name in ("ior", "coat_ior"):
+            row[MATERIAL_COLUMNS[name]] = np.clip(row[MATERIAL_COLUMNS[name]], SMALLEST_IOR, LARGEST_IOR)
         row[MATERIAL_COLUMNS["normal"] :][:3] = NEUTRAL_NORMAL
         has_normal = "normal" in material.maps and material.may_have("normal_strength")
         row[MATERIAL_COLUMNS["normal_uv_layer"]] = material.maps["normal"].uv_layer if has_normal else -1

@@ -172,11 +172,11 @@ DEEPEST_MIX = 16
 class Material:
     """A shader node of Blender with its inputs; names and defaults are those of the Principled BSDF.
 
-    Colours are linear RGB in [0, 1]. metallic, roughness, transmission, alpha, coat_weight, coat_roughness, sheen_weight,
-    sheen_roughness, diffuse_roughness, subsurface_weight: [0, 1]. specular_ior_level: >= 0, 0.5 leaves the IOR as it is.
-    ior, coat_ior: >= 0 (1: no interface). emission: radiance per channel (colour times strength), >= 0.
-    anisotropic: [-1, 1], below 0 for GLOSSY alone. anisotropic_rotation: turns, [0, 1]. tangent_uv_layer: UV layer whose
-    U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
+    Colours are linear RGB in [0, 1]. metallic, roughness, transmission, alpha, coat_weight, coat_roughness,
+    sheen_weight, sheen_roughness, diffuse_roughness, subsurface_weight: [0, 1]. specular_ior_level: >= 0, 0.5 leaves
+    the IOR as it is. ior, coat_ior: >= 0 (1: no interface). emission: radiance per channel (colour times strength), >=
+    0. anisotropic: [-1, 1], below 0 for GLOSSY alone. anisotropic_rotation: turns, [0, 1]. tangent_uv_layer: UV layer
+    whose U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
     subsurface_weight is rendered as diffuse. normal_strength: >= 0, of the map "normal", which is in tangent space.
     multiscatter: light that is reflected between microfacets is not lost (Blender's distribution "Multiscatter GGX").
 
@@ -254,8 +254,8 @@ class Light:
 
     power: W per channel (colour times power); a sun's is irradiance, W / m^2 on a surface that faces it.
     light_to_world: float64 [3, 4], no scale; a sun, spot or area light shines along its -Z.
-    size: POINT, SPOT: radius (m) in size[0]; SUN: angular diameter (rad) in size[0]; RECTANGLE, ELLIPSE: full widths (m) along X, Y.
-    spot_angle: full cone angle (rad). spot_blend: [0, 1], share of the cone that fades.
+    size: POINT, SPOT: radius (m) in size[0]; SUN: angular diameter (rad) in size[0]; RECTANGLE, ELLIPSE: full widths
+    (m) along X, Y. spot_angle: full cone angle (rad). spot_blend: [0, 1], share of the cone that fades.
     soft_falloff: a POINT or SPOT is a disk that faces whatever it lights, Blender's default, instead of a sphere: light
     then does not grow without bound close to it.
     spread: full angle (rad) into which an area lamp shines, as through a grid of slats; pi: its whole front side.

@@ -50,8 +50,8 @@ def build(kind: str, inputs: dict) -> None:
     cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = SAMPLES, False, False
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.sample_clamp_indirect, cycles.blur_glossy = 0.0, 0.0
-    for limit in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces"):
-        setattr(cycles, limit, BOUNCES)
+    for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
+        setattr(cycles, f"{kind}_bounces", BOUNCES)
 
 
 def cycles_image(path) -> np.ndarray:

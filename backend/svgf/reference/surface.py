@@ -9,10 +9,12 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .bsdf import Bsdf, column, fresnel_dielectric, make_bsdf, make_layers
+from .bsdf import Bsdf, make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
+from .layers import column, make_layers
 from .lights import Lights
+from .microfacet import fresnel_dielectric
 from .texture import Texture
 from .vec import dot, normalize, transform_normal, transform_point, transform_vector
 
@@ -212,7 +214,9 @@ def find_opacity(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(is_transparent, 0.0, opacity), np.where(is_transparent[:, None], column(rows, "base_color"), 1.0)
 
 
-def transmittance_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray, choice: np.ndarray) -> np.ndarray:
+def transmittance_at(
+    scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray, choice: np.ndarray
+) -> np.ndarray:
     """What is left, [n, 3], of light that goes straight through a hit, on the mean over choice. Arguments: see
     surface_at."""
     surface = surface_at(scene, hits, found, view, choice)
@@ -322,21 +326,21 @@ def _apply_maps(scene: SceneView, hits: Hits, found: np.ndarray, material: np.nd
     for index in np.unique(material):
         chosen = np.flatnonzero(material == index)
         start, count = rows[chosen[0], 40:42].astype(int)
-        for column, texture, channel, layer, *transform in scene.material_maps[start : start + count, :10]:
+        for place, texture, channel, layer, *transform in scene.material_maps[start : start + count, :10]:
             uv = np.zeros((len(chosen), 2))
             if layer < len(shapes.uvs):
                 corners = shapes.uvs[int(layer), hits.triangle[found[chosen]]]
                 uv = np.einsum("nc,nci->ni", hits.weights[found[chosen]], corners)
             uv = uv @ np.reshape(transform, (2, 3))[:, :2].T + np.reshape(transform, (2, 3))[:, 2]
             texel = scene.textures[int(texture)].lookup(uv)
-            column = int(column)
-            if column == MATERIAL_COLUMNS["emission"]:
-                rows[chosen, column : column + 3] *= texel[:, :3]
-            elif column == MATERIAL_COLUMNS["normal"]:
-                rows[chosen, column : column + 3] = texel[:, :3]
+            place = int(place)
+            if place == MATERIAL_COLUMNS["emission"]:
+                rows[chosen, place : place + 3] *= texel[:, :3]
+            elif place == MATERIAL_COLUMNS["normal"]:
+                rows[chosen, place : place + 3] = texel[:, :3]
             elif channel < 0:
-                rows[chosen, column : column + 3] = np.clip(texel[:, :3], 0.0, 1.0)
+                rows[chosen, place : place + 3] = np.clip(texel[:, :3], 0.0, 1.0)
             else:
-                low, high = _RANGES.get(column, (0.0, 1.0))
-                rows[chosen, column] = np.clip(texel[:, int(channel)], low, high)
+                low, high = _RANGES.get(place, (0.0, 1.0))
+                rows[chosen, place] = np.clip(texel[:, int(channel)], low, high)
     return rows
