@@ -101,6 +101,9 @@ SVGF_HD inline float difference_of_products(float a, float b, float c, float d) 
 #endif
 }
 
+// dot(a, b) by multiply_add.
+SVGF_HD inline float dot_fused(Vec3 a, Vec3 b) { return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x)); }
+
 // cross(a, b) without cancellation, for the normals of needles.
 SVGF_HD inline Vec3 accurate_cross(Vec3 a, Vec3 b) {
     return {difference_of_products(a.y, b.z, a.z, b.y), difference_of_products(a.z, b.x, a.x, b.z),

@@ -68,9 +68,9 @@ struct TriangleRay {
 SVGF_HD inline bool intersect_triangle(const TriangleRay& ray, const LeafTriangle& triangle, float& t, float& weight1,
                                        float& weight2) {
     const Vec3 a = triangle.vertex0 - ray.origin, b = triangle.vertex1 - ray.origin, c = triangle.vertex2 - ray.origin;
-    const float ax = dot(ray.x, a), ay = dot(ray.y, a);
-    const float bx = dot(ray.x, b), by = dot(ray.y, b);
-    const float cx = dot(ray.x, c), cy = dot(ray.y, c);
+    const float ax = dot_fused(ray.x, a), ay = dot_fused(ray.y, a);
+    const float bx = dot_fused(ray.x, b), by = dot_fused(ray.y, b);
+    const float cx = dot_fused(ray.x, c), cy = dot_fused(ray.y, c);
     const float u = difference_of_products(cx, by, cy, bx);
     const float v = difference_of_products(ax, cy, ay, cx);
     const float w = difference_of_products(bx, ay, by, ax);
@@ -180,7 +180,8 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
     mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0xb1));
     return std::uint32_t(_mm_cvtsi128_si32(mask));
 #else
-    const Vec3 from_zero = start - scale * byte_offset;
+    const Vec3 from_zero{multiply_add(scale.x, -byte_offset, start.x), multiply_add(scale.y, -byte_offset, start.y),
+                         multiply_add(scale.z, -byte_offset, start.z)};
     const Vec3 near_start = from_zero - margin, far_start = from_zero + margin;
     std::uint32_t mask = 0;
     SVGF_UNROLL
