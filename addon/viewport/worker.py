@@ -194,12 +194,14 @@ class Worker:
         result = self.result
         if self._is_new(request) or result.samples < request.sample_limit:
             result = self._render(request)
-        if self._measuring:
-            self._measuring = False
+        measuring = self._measuring
+        if measuring:
             result = replace(result, costs=self._measure_effects(request))
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
         self._done = request
+        if measuring:
+            self._measuring = False
 
     def _render(self, request: Request) -> Result:
         start = time.perf_counter()
@@ -274,6 +276,7 @@ class Worker:
     def _fail(self, request: Request, message: str) -> None:
         self._publish(replace(self.result, error=message))
         self._failed = request
+        self._measuring = False
 
     def _publish(self, result: Result) -> None:
         self.result = replace(result, number=self.result.number + 1)
