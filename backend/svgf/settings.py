@@ -76,20 +76,20 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     specular_history_clamp: float = _setting(
-        0.33, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
+        0.4, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
-        0.7, 1e-3, 1e6,
+        0.45, 1e-3, 1e6,
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
         unit="standard deviations",
     )  # fmt: skip
     firefly_limit: float = _setting(
-        20.0, 1.0, 1e18,
-        "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.",
+        20.0, 1.0, 1e9,
+        "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.",
     )  # fmt: skip
     specular_sharpness: float = _setting(
-        4.0, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
+        3.5, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
     )
     plus_sigma_luminance: float = _setting(
         8.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",

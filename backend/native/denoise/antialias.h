@@ -11,8 +11,8 @@
 // sample does not flicker where it is rare, at any exposure.
 //
 // What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the best
-// there was; from then on it is one sample of many, and weighs less and less. Light that changes shows in the denoised
-// frame, against which the mean is tested with a wider box, and ends this.
+// there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this: temporal says so,
+// or the denoised frame, against which the mean is tested with a wider box.
 #pragma once
 
 #include "denoise/demodulate.h"
@@ -75,7 +75,7 @@ struct Antialias {
         }
         const Vec3 extent = (settled ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
         const float excess = max_component(abs(offset) / extent);
-        if (settled && excess <= 1.0f) {
+        if (settled && excess <= 1.0f && !has_changed(pixel)) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
             write(pixel, history.color + (noisy(pixel) - history.color) * (still_rate / frames), frames);
             return;
@@ -155,6 +155,12 @@ private:
         if (in_emission) color = repair(load3(in_emission, pixel), repaired_before);
         for (int s = 0; s < Signals; ++s) color += repair(load3(in_signal[s], pixel), repaired_before);
         return color;
+    }
+
+    SVGF_HD bool has_changed(int pixel) const {
+        bool changed = false;
+        for (int s = 0; s < Signals; ++s) changed = changed || in_moments[s].has_changed(pixel);
+        return changed;
     }
 
     // Variance of the noisy frame's luminance, signals taken as independent.

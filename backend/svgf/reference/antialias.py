@@ -28,10 +28,11 @@ class Resolved:
 
 
 def antialias(
-    color: Any, noisy: Any, noise: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
+    color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
 ) -> Resolved:
     """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired;
-    noise [H, W]: the variance of its luminance. depth [H, W]. motion [H, W, 2 or
+    noise [H, W]: the variance of its luminance. changed bool [H, W]: light has just
+    changed. depth [H, W]. motion [H, W, 2 or
     3], None: nothing moved."""
     xp = namespace(color)
     height, width = depth.shape
@@ -84,7 +85,7 @@ def antialias(
     margin = xp.where(settled, STILL_MARGIN + uncertain, 1e-6)[..., None]
     extent = xp.where(settled[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
     excess = (xp.abs(past - mean) / extent).max(axis=-1)
-    goes_on = settled & (excess <= 1.0)
+    goes_on = settled & (excess <= 1.0) & ~changed
     kept = xp.where(settled & ~goes_on, 0.0, frames)
     clipped = xp.where((excess > 1.0)[..., None], mean + (past - mean) / xp.maximum(excess, 1.0)[..., None], past)
     n = xp.where(still, kept + 1.0, xp.minimum(kept + 1.0, settings.antialias_frames))
