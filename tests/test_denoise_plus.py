@@ -108,7 +108,7 @@ def test_antialias_agrees(device, frames, moves):
 
 
 def test_frames_agree_with_the_reference(device):
-    """Six frames, end to end; where a limit or a box decides, packing may turn it, so most pixels are asked, not all."""
+    """Six frames, end to end. Where a limit or a box decides, packing may turn it: most pixels are asked, not all."""
     if device.name == "reference":
         pytest.skip("against itself")
     rng = np.random.default_rng(24)
@@ -220,7 +220,8 @@ def test_a_zoom_keeps_its_history(device):
         center = (np.float32([width, height]) - 1.0) / 2.0
         position = np.stack([x, y], axis=-1)
         back = center + (position - center) * (nearer / depth) - position
-        frame["motion"] = np.concatenate([back, np.full((height, width, 1), depth - nearer)], axis=-1).astype(np.float32)
+        farther = np.full((height, width, 1), depth - nearer)
+        frame["motion"] = np.concatenate([back, farther], axis=-1).astype(np.float32)
         depth = nearer
         result = denoiser.denoise(frame)
     assert (result["history_length"] > 7.5).mean() >= 0.95

@@ -143,8 +143,8 @@ class Settings:
 
     width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
     only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
-    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
-    filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
+    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or
+    "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
     None: the scene's. denoise: DenoiseSettings.
     """

@@ -1,30 +1,31 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "antialias" of svgf+: resolves over time what lies within a pixel, and lets a still view converge to the truth.
 //
-// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it. Where a
-// sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter makes of
-// the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation of the 3x3
-// pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3 surfaces
-// [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show several, and sky.
+// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it.
+// Where a sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter
+// makes of the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation
+// of the 3x3 pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3
+// surfaces [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show
+// several, and sky.
 //
 // Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness: a bright
 // sample does not flicker where it is rare, at any exposure.
 //
-// What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the best
-// there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this: temporal says so,
-// or the denoised frame, against which the mean is tested with a wider box.
+// What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
+// best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
+// temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 #pragma once
 
 #include "denoise/demodulate.h"
 
 namespace svgf {
 
-// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has room
-// for as many of the noisy mean's own.
+// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has
+// room for as many of the noisy mean's own.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
 constexpr float still_frames = 24.0f;
-// Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at 4 %
-// more variance than the plain mean has.
+// Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
+// 4 % more variance than the plain mean has.
 constexpr float still_rate = 1.25f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
 constexpr float still_margin = 0.02f;
@@ -172,7 +173,8 @@ private:
         return variance;
     }
 
-    // n + 1. Counts are kept in 9 bits: above 512 they go up by their spacing, with the odds that make it one on average.
+    // n + 1. Counts are kept in 9 bits: above 512 they go up by their spacing, with the odds that make it one on
+    // average.
     SVGF_HD static float next_count(float n, int pixel, uint32_t salt) {
         if (n < 511.5f) return n + 1.0f;
         const float spacing = n < 1023.5f ? 2.0f : n < 2047.5f ? 4.0f : n < 4095.5f ? 8.0f : 0.0f;

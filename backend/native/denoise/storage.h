@@ -169,8 +169,9 @@ struct PackedStorage {
     };
 
     // What svgf+ knows of a signal's history: frames in 12 bits, 9 of precision; deviation of a sample in 12 bits, 6 of
-    // precision; drift in [-4, 4) in 7 bits; a bit for light that has changed. Frames and deviation are rounded at random, so that a long mean has no bias:
-    // rounding to nearest would lose the many small steps down and keep the few large ones up.
+    // precision; drift in [-4, 4) in 7 bits; a bit for light that has changed. Frames and deviation are rounded at
+    // random, so that a long mean has no bias: rounding to nearest would lose the many small steps down and keep the
+    // few large ones up.
     struct Moments {
         uint32_t* texels = nullptr;
 
@@ -185,7 +186,9 @@ struct PackedStorage {
         SVGF_HD float drift(int pixel) const { return float(int32_t(texels[pixel]) >> 25) * (1.0f / 16.0f); }
         SVGF_HD bool has_changed(int pixel) const { return texels[pixel] >> 24 & 1u; }
         SVGF_HD void store(int pixel, Vec4 moments) const {
-            const uint32_t hash = (bits_of(moments.y) ^ uint32_t(pixel) * 0x9e3779b1u) * 0x85ebca6bu;
+            uint32_t hash = bits_of(moments.y) ^ (bits_of(moments.z) + uint32_t(pixel)) * 0x9e3779b1u;
+            hash = (hash ^ hash >> 15) * 0x85ebca6bu;
+            hash ^= hash >> 13;
             const uint32_t frames = bits_of(min(moments.x, 65000.0f) + 1.0f) + (hash & 0x7fffu) - (127u << 23);
             const int drift = int(std::floor(clamp(moments.z, -4.0f, 3.9f) * 16.0f + 0.5f));
             const uint32_t deviation = encode_positive<5>(fast_sqrt(moments.y), float(hash >> 16) * (1.0f / 65536.0f));

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "temporal" of svgf+: firefly limit, reprojection, running means, and the variance that is left in them.
 //
-// Reads 3x3 pixels of the frame's illumination and what the frame before left: its guides, per signal the mean colour and
-// the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour the variance of the
-// mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage "variance" follows.
+// Reads 3x3 pixels of the frame's illumination and what the frame before left: its guides, per signal the mean colour
+// and the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour the variance
+// of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage "variance"
+// follows.
 //
 // Departures from [Schied17], the gain of each on two 1-spp sequences in svgf bench denoise's ablation table:
 // - The filter is driven by the variance of the mean, that of a sample over N, not of a sample: as history grows the
@@ -12,15 +13,16 @@
 // - Variance is that of 3x3 neighbouring samples on the same surface, averaged over frames, not that of one pixel's
 //   samples over time: nine times the samples, there from the first frame on, and what moves in a mirror is no noise.
 // - History is drawn towards the mean of the 3x3 samples where it is more than `history_clamp` standard deviations away
-//   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from its
-//   surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
-// - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far samples are from
-//   their history, in deviations, and is averaged with eight pixels around every frame. Noise averages out of it, a change
-//   adds up. Above `change_threshold` history gives way to the 3x3 samples, at 1.2 times that altogether. The threshold
-//   rises with the frames that would be lost: a long history is not given up for what chance does once in as many frames.
+//   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from
+//   its surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
+// - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far samples
+//   are from their history, in deviations, and is averaged with eight pixels around every frame. Noise averages out of
+//   it, a change adds up. Above `change_threshold` history gives way to the 3x3 samples, at 1.2 times that altogether.
+//   The threshold rises with the frames that would be lost: a long history is not given up for what chance does once in
+//   as many frames.
 // - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
-//   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright sample
-//   in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
+//   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright
+//   sample in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
 // - Each signal has its own history length: reflections lose theirs while the diffuse light beside them keeps it.
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
@@ -212,7 +214,8 @@ private:
         if (!(light > limit)) return color;
         if (counts) {
             count(&out_fireflies->samples, 1ull);
-            count(&out_fireflies->light, static_cast<unsigned long long>(min(light - limit, 1e12f) * float(light_units)));
+            const float cut = min(light - limit, 1e12f) * float(light_units);
+            count(&out_fireflies->light, static_cast<unsigned long long>(cut));
         }
         return color * (limit / light);
     }

@@ -130,12 +130,13 @@ class Denoiser:
 
         demodulate: the public images -> illumination0, guides.
         temporal: illumination0, guides, motion, and unless there is no history prev_ + guides, hist_color0,
-            hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames, variance, drift and changed,
-            hist_filtered0 the luminance after the filter, variance0 goes with color0; signal 1 is the specular one.
+            hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames,
+            variance, drift and changed, hist_filtered0 the luminance after the filter, variance0 goes with color0; signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
         atrous: color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.
-        antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames -> color, resolved_frames.
+        antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames
+            -> color, resolved_frames.
         guides: normal, depth, depth_gradient, object_id.
         """
         signals = [signal for signal in SIGNAL_ALBEDOS if signal in arrays]
@@ -155,8 +156,8 @@ class Denoiser:
             noise = _noise([self._albedo(arrays, signal)[0] for signal in signals], variances)
             changed = _any([moments[..., 3] > 0.5 for moments in _listed(arrays, "moments")])
             new = antialias(
-                arrays["unresolved"], self._noisy(arrays, signals), noise, changed, arrays["depth"], arrays.get("motion"), history,
-                self.settings,
+                arrays["unresolved"], self._noisy(arrays, signals), noise, changed, arrays["depth"],
+                arrays.get("motion"), history, self.settings,
             )  # fmt: skip
             return {"color": new.color, "resolved_frames": new.frames}
         guides = _guides(arrays, "")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage "temporal" of svgf+: firefly limit, reprojection, running means and the variance that is left in them. What is done
-otherwise than in [Schied17], and why, stands in native/denoise/temporal_plus.h."""
+"""Stage "temporal" of svgf+: firefly limit, reprojection, running means and the variance that is left in them. What is
+done otherwise than in [Schied17], and why, stands in native/denoise/temporal_plus.h."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ CLAMP_MARGIN = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class HistoryPlus:
-    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W] of
-    a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
+    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W]
+    of a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
     where history gave way to a change of light, and the luminance [H, W] after the filter;
     the guides they belong to."""
 
@@ -58,8 +58,8 @@ def temporal_plus(
 ) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
     """illumination [H, W, 3], is_specular: per signal. motion: [H, W, 2 or 3], None: nothing moved.
 
-    Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance [H, W] of the mean, as the filter takes it; what the limit cut;
-    and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
+    Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
+    [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
     """
     xp = namespace(guides.depth)
     shape = guides.depth.shape
@@ -132,7 +132,8 @@ def temporal_plus(
         changes.append(surface & found & (kept_of_change < 1.0))
         variances.append(xp.where(surface, variance, 0.0))
         spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
-    return HistoryPlus(colors, frames, variances, new_drifts, changes, none, guides), spreads, Fireflies(fireflies, cut), repaired
+    new = HistoryPlus(colors, frames, variances, new_drifts, changes, none, guides)
+    return new, spreads, Fireflies(fireflies, cut), repaired
 
 
 def _limited(color: Any, limit: Any) -> Any:
