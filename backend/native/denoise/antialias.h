@@ -9,7 +9,7 @@
 // several, and sky.
 //
 // Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness: a bright
-// sample does not flicker where it is rare, at any exposure.
+// sample does not flicker where it is rare, at any exposure. What stands still is averaged as it is: no light is lost.
 //
 // What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
 // best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
@@ -22,6 +22,7 @@ namespace svgf {
 
 // Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has
 // room for as many of the noisy mean's own.
+// One of nine numbers is at most 2.83 of their deviations from their mean, so what stays the same is never clipped.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
 constexpr float still_frames = 24.0f;
 // Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
@@ -69,22 +70,29 @@ struct Antialias {
         const bool still = motion.x == 0.0f && motion.y == 0.0f && own_motion.x == 0.0f && own_motion.y == 0.0f;
         const bool settled = still && history.frames > still_frames - 0.5f;
         const Vec3 past = history.mapped, offset = past - box.mean;
-        float margin = 1e-6f;
+        float margin = 0.0f;
         if (settled) {
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
             margin = still_margin + still_box * deviation / (box.white + max_component(own) + 1e-30f);
         }
-        const Vec3 extent = (settled ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
-        const float excess = max_component(abs(offset) / extent);
-        if (settled && excess <= 1.0f && !has_changed(pixel)) {
+        const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
+        const float excess = max_component(abs(offset) / max(extent, 1e-30f));
+        const bool light_changed = still && has_changed(pixel);
+        if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
             write(pixel, history.color + (noisy(pixel) - history.color) * (still_rate / frames), frames);
             return;
         }
-        const float kept = settled ? 0.0f : history.frames;  // a still picture whose light changed starts afresh
+        const float kept = settled || light_changed ? 0.0f : history.frames;  // then a still picture starts afresh
         const float frames = still ? kept + 1.0f : min(kept + 1.0f, antialias_frames);
-        const Vec3 clipped = excess > 1.0f ? box.mean + offset / excess : past;
-        write(pixel, box.unmap(clipped + (box.map(own) - clipped) / frames), frames);
+        // Where there is no deviation at all, nothing of what is outside is left.
+        const Vec3 clipped = excess > 1e12f ? box.mean : excess > 1.0f ? box.mean + offset / excess : past;
+        if (still) {
+            const Vec3 before = excess > 1.0f ? box.unmap(clipped) : history.color;
+            write(pixel, before + (own - before) / frames, frames);
+        } else {
+            write(pixel, box.unmap(clipped + (box.map(own) - clipped) / frames), frames);
+        }
     }
 
 private:

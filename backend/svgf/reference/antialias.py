@@ -82,15 +82,18 @@ def antialias(
     still = known & (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
     settled = still & (frames > STILL_FRAMES - 0.5)
     uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
-    margin = xp.where(settled, STILL_MARGIN + uncertain, 1e-6)[..., None]
-    extent = xp.where(settled[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
-    excess = (xp.abs(past - mean) / extent).max(axis=-1)
+    margin = xp.where(settled, STILL_MARGIN + uncertain, 0.0)[..., None]
+    extent = xp.where(still[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
+    excess = (xp.abs(past - mean) / xp.maximum(extent, 1e-30)).max(axis=-1)
     goes_on = settled & (excess <= 1.0) & ~changed
-    kept = xp.where(settled & ~goes_on, 0.0, frames)
+    kept = xp.where((settled & ~goes_on) | (still & changed), 0.0, frames)
     clipped = xp.where((excess > 1.0)[..., None], mean + (past - mean) / xp.maximum(excess, 1.0)[..., None], past)
+    clipped = xp.where((excess > 1e12)[..., None], mean, clipped)
     n = xp.where(still, kept + 1.0, xp.minimum(kept + 1.0, settings.antialias_frames))
     n = xp.where(known, n, 1.0)
     resolved = unmap(clipped + (map_(color) - clipped) / n[..., None])
+    before = xp.where((excess > 1.0)[..., None], unmap(clipped), past_linear)
+    resolved = xp.where(still[..., None], before + (color - before) / n[..., None], resolved)
     resolved = xp.where(known[..., None], resolved, color)
     resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) * (STILL_RATE / n[..., None]), resolved)
     return Resolved(resolved, n)
