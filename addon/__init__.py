@@ -1,19 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """SVGF as a render engine in Blender."""
 
-from . import engine, session
-from .ui import panels, properties, statistics
-from .viewport import views
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+
+from . import installation
 
 # Properties come first, because the others refer to them.
-_MODULES = (properties, session, views, engine, panels, statistics)
+_MODULES = (
+    *("ui.properties", "session", "viewport.views", "engine"),
+    *("ui.panels", "ui.passes", "ui.devices", "ui.culprits", "ui.statistics"),
+)
+
+_unregister: list[Callable[[], None]] = []  # of what is registered
 
 
 def register() -> None:
-    for module in _MODULES:
+    """Whatever is wrong with the installation, Blender starts, and says it where SVGF's settings would be."""
+    problem = installation.find_problem()
+    if problem:
+        installation.register(problem)
+        _unregister.append(installation.unregister)
+        return
+    for name in _MODULES:
+        module = import_module(f".{name}", __name__)
         module.register()
+        _unregister.append(module.unregister)
 
 
 def unregister() -> None:
-    for module in reversed(_MODULES):
-        module.unregister()
+    while _unregister:
+        _unregister.pop()()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import Future
 from concurrent.futures import wait as wait_for
 
@@ -14,10 +13,12 @@ from svgf.frame import Frame
 
 from .export import export_frame
 from .session import Session, find_session
+from .ui.passes import unsupported_passes, wanted_passes
 from .viewport import views
 
 _POLL_SECONDS = 0.02  # between looks for Esc
-_OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0, 0) else "IndexOB"
+_STOP_SECONDS = 0.2  # for a frame to end after it; while a tree is built, nothing can stop it
+_KINDS = {"RGBA": "COLOR", "RGB": "COLOR", "XYZ": "VECTOR", "XYZW": "VECTOR"}  # of a pass by its channels
 
 
 class SVGFRenderEngine(bpy.types.RenderEngine):
@@ -35,8 +36,9 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer=None) -> None:
         """Tells Blender which passes there will be."""
-        for name, channels, kind in _passes(renderlayer):
-            self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
+        for name, entry in wanted_passes(renderlayer).items():
+            kind = _KINDS.get(entry.channels, "VALUE")
+            self.register_pass(scene, renderlayer, name, len(entry.channels), entry.channels, kind)
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Blender's data changed, or the view has just become a rendered one."""
@@ -69,25 +71,27 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
         session = find_session(depsgraph.scene, depsgraph.view_layer)
         self.update_stats("", "Exporting the scene")
         scene = export_frame(self, depsgraph, session.exporter)
-        for warning in scene.warnings:
+        for warning in (*scene.warnings, *unsupported_passes(depsgraph.view_layer)):
             if warning not in session.reported:
                 session.reported.add(warning)
                 self.report({"WARNING"}, warning)
         properties = depsgraph.scene.svgf
         self.update_stats("", "Rendering")
-        future = session.start(scene, properties.to_settings(), properties.device)
-        return self._wait(session, future)
+        settings = properties.to_settings()
+        future = session.start(scene, settings, properties.device)
+        return self._wait(session, future, settings.samples)
 
-    def _wait(self, session: Session, future: Future[Frame]) -> Frame:
-        """The finished frame. Raises Interrupted soon after the user pressed Esc."""
-        try:
-            while not future.done() and not self.test_break():
-                wait_for([future], timeout=_POLL_SECONDS)
-                self.update_progress(session.progress)
-        finally:
-            while not future.done():  # again, because the renderer may only just be made
-                session.interrupt()
-                wait_for([future], timeout=_POLL_SECONDS)
+    def _wait(self, session: Session, future: Future[Frame], samples: int) -> Frame:
+        """The finished frame. Raises Interrupted soon after the user pressed Esc, even if the thread takes longer."""
+        while not future.done():
+            if self.test_break():
+                session.stop()
+                wait_for([future], timeout=_STOP_SECONDS)
+                raise Interrupted("The render was cancelled.")
+            wait_for([future], timeout=_POLL_SECONDS)
+            self.update_progress(session.progress)
+            if samples > 1:
+                self.update_stats("", f"Sample {round(session.progress * samples)}/{samples}")
         return future.result()
 
     def _write(self, frame: Frame, depsgraph: bpy.types.Depsgraph) -> None:
@@ -96,48 +100,22 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
         result = self.begin_result(
             0, 0, columns.stop - columns.start, rows.stop - rows.start, layer=depsgraph.view_layer.name
         )
-        images = _images(frame)
+        wanted = wanted_passes(depsgraph.view_layer)
         for render_pass in result.layers[0].passes:
-            image = images.get(render_pass.name)
-            if image is not None:
-                part = image[rows, columns][::-1]
+            entry = wanted.get(render_pass.name)
+            if entry is not None:
+                part = entry.image(frame)[rows, columns][::-1]
                 render_pass.rect.foreach_set(np.ascontiguousarray(part, np.float32).ravel())
         self.end_result(result)
-
-
-def _passes(view_layer: bpy.types.ViewLayer) -> Iterator[tuple[str, str, str]]:
-    """(name, channels, kind) of the passes that a view layer asks for."""
-    yield "Combined", "RGBA", "COLOR"
-    if view_layer.use_pass_z:
-        yield "Depth", "Z", "VALUE"
-    if view_layer.use_pass_normal:
-        yield "Normal", "XYZ", "VECTOR"
-    if view_layer.use_pass_vector:
-        yield "Vector", "XYZW", "VECTOR"
-    if view_layer.use_pass_object_index:
-        yield _OBJECT_INDEX, "X", "VALUE"
-
-
-def _images(frame: Frame) -> dict[str, np.ndarray]:
-    """Blender's passes, row 0 on top."""
-    motion = frame.motion
-    # Blender's y axis points up. The way to the next frame, ZW, is not known while rendering.
-    vector = np.dstack([motion[..., 0], -motion[..., 1], np.zeros((frame.height, frame.width, 2), np.float32)])
-    return {
-        "Combined": np.dstack([frame.color, np.ones((frame.height, frame.width), np.float32)]),
-        "Depth": frame.depth,
-        "Normal": frame.normal,
-        "Vector": vector,
-        _OBJECT_INDEX: frame.object_id,
-    }
 
 
 def _region(frame: Frame, render: bpy.types.RenderSettings) -> tuple[slice, slice]:
     """Rows and columns of the image that Blender's result holds: all of them without a render region."""
     if not render.use_border:
         return slice(0, frame.height), slice(0, frame.width)
-    left, right = (int(x * frame.width) for x in (render.border_min_x, render.border_max_x))
-    bottom, top = (int(y * frame.height) for y in (render.border_min_y, render.border_max_y))
+    # Rounded as Blender does, in float32.
+    left, right = (int(np.float32(x) * np.float32(frame.width)) for x in (render.border_min_x, render.border_max_x))
+    bottom, top = (int(np.float32(y) * np.float32(frame.height)) for y in (render.border_min_y, render.border_max_y))
     return slice(frame.height - top, frame.height - bottom), slice(left, right)
 
 

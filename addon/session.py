@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import bpy
 from svgf.devices import Device, open_device
+from svgf.errors import Interrupted
 from svgf.frame import Frame
 from svgf.renderer import Renderer
 from svgf.scene import Scene
@@ -21,6 +22,7 @@ from .export import Exporter
 Key = tuple[int, str]
 
 _sessions: dict[Key, Session] = {}
+_leaving: list[Session] = []  # closed, but their threads are still at work
 _devices: dict[str, Device] = {}
 
 
@@ -36,8 +38,14 @@ class Session:
         self.reported: set[str] = set()
         self._renderer: Renderer | None = None
         self._device_name = ""
-        self._interrupted = False
+        self._stopping = False
+        self._future: Future[Frame] | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="svgf")
+
+    @property
+    def busy(self) -> bool:
+        """Whether a frame is in the making."""
+        return self._future is not None and not self._future.done()
 
     def start(self, scene: Scene, settings: Settings, device: str) -> Future[Frame]:
         """Renders the next frame in the background. History goes on unless the settings or the device are others.
@@ -45,33 +53,47 @@ class Session:
         The future raises what open_device and Renderer.render raise.
         """
         self.progress = 0.0
-        return self._thread.submit(self._render, scene, settings, device)
+        self._future = self._thread.submit(self._render, scene, settings, device)
+        return self._future
 
-    def interrupt(self) -> None:
-        """The frame that is being rendered ends with svgf.Interrupted."""
+    def stop(self) -> None:
+        """For good: the frame in the making ends with svgf.Interrupted, as soon as its tree is built."""
+        self._stopping = True
         renderer = self._renderer
         if renderer is not None:
-            self._interrupted = True
             renderer.interrupt()
 
     def close(self) -> None:
-        """Waits for the thread and frees the device's memory."""
-        self._thread.shutdown(wait=True, cancel_futures=True)
-        self._renderer = None
-        if self._interrupted:
-            # An interrupt that came too late for its frame would stop the first one of the next job.
+        """Frees the device's memory, at once or when the frame in the making has ended; does not wait for that."""
+        if self.busy:
+            self.stop()
+        else:
+            self._renderer = None
+        if self._stopping:
+            # Its thread may still use the device; and an interrupt that came too late would stop another frame.
             _devices.pop(self._device_name, None)
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def join(self) -> None:
+        """After close: waits for the thread."""
+        self._thread.shutdown(wait=True)
 
     def _render(self, scene: Scene, settings: Settings, device: str) -> Frame:
-        renderer = self._renderer
-        if renderer is None or renderer.settings != settings or self._device_name != device:
-            self._renderer = None  # its memory is free before the next one asks for some
-            renderer = self._renderer = Renderer(settings, _device(device))
-            self._device_name = device
-        return renderer.render(scene, self._set_progress)
+        try:
+            renderer = self._renderer
+            if renderer is None or renderer.settings != settings or self._device_name != device:
+                self._renderer = None  # its memory is free before the next one asks for some
+                self._device_name = device
+                renderer = self._renderer = Renderer(settings, _device(device))
+            return renderer.render(scene, self._set_progress)
+        finally:
+            if self._stopping:
+                self._renderer = None
 
     def _set_progress(self, share: float) -> None:
         self.progress = share
+        if self._stopping:  # the interrupt came before the frame had begun, which forgets it
+            raise Interrupted("The render was cancelled.")
 
 
 def find_session(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Session:
@@ -94,6 +116,8 @@ def _close_sessions(*_arguments) -> None:
     while _sessions:
         _, session = _sessions.popitem()
         session.close()
+        _leaving.append(session)
+    _leaving[:] = [session for session in _leaving if session.busy]
 
 
 def _handler_lists() -> tuple[list, ...]:
@@ -110,4 +134,7 @@ def unregister() -> None:
     for handlers in _handler_lists():
         handlers.remove(_close_sessions)
     _close_sessions()
+    for session in _leaving:
+        session.join()
+    _leaving.clear()
     _devices.clear()

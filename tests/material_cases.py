@@ -23,13 +23,13 @@ SINGLE = (
     dataclasses.replace(COAT, name="tinted coat", coat_tint=(0.9, 0.4, 0.2), coat_ior=1.8, metallic=0.5),
     Material("sheen", base_color=(0.3, 0.1, 0.1), sheen_weight=0.9, sheen_roughness=0.4, sheen_tint=(0.9, 1.0, 0.5)),
     Material("soft sheen", base_color=(0.2, 0.2, 0.5), sheen_weight=1.0, sheen_roughness=0.9, ior=1.0),
-    Material("brushed", base_color=(0.9, 0.8, 0.6), metallic=0.8, roughness=0.5, anisotropic=0.8, anisotropic_rotation=0.2),
+    Material("brushed", base_color=(0.9, 0.8, 0.6), metallic=0.8, anisotropic=0.8, anisotropic_rotation=0.2),
     Material("glossy", kind=MaterialKind.GLOSSY, base_color=(0.8, 0.5, 0.3), roughness=0.5),
     Material("long glossy", kind=MaterialKind.GLOSSY, roughness=0.4, anisotropic=0.7),
     Material("wide glossy", kind=MaterialKind.GLOSSY, roughness=0.4, anisotropic=-0.7, anisotropic_rotation=0.1),
     Material("tinted glass", kind=MaterialKind.GLASS, base_color=(0.9, 0.6, 0.5), roughness=0.4),
-    Material("thin glass", kind=MaterialKind.GLASS, base_color=(0.9, 0.9, 0.9), roughness=0.3, ior=0.8),
-    Material("principled glass", base_color=(0.8, 0.6, 0.9), transmission=0.8, roughness=0.5, specular_tint=(1.0, 0.6, 0.3)),
+    Material("thin glass", kind=MaterialKind.GLASS, base_color=(0.9, 0.9, 0.9), roughness=0.7, ior=0.6),
+    Material("principled glass", base_color=(0.8, 0.6, 0.9), transmission=0.8, specular_tint=(1.0, 0.6, 0.3)),
     Material("refraction", kind=MaterialKind.REFRACTION, base_color=(0.9, 0.8, 0.7), roughness=0.4),
     Material("translucent", kind=MaterialKind.TRANSLUCENT, base_color=(0.6, 0.8, 0.4)),
     Material(
@@ -88,6 +88,17 @@ def normal_texture(size: int = 16) -> Texture:
     return Texture("bumps", values, False)
 
 
+def curtain(planes: int, material: Material, emission: float = 1.0, size: float = 4.0) -> Scene:
+    """Planes of a material one behind the other, before a wall that shines evenly and under a sun."""
+    wall = Material("wall", kind=MaterialKind.DIFFUSE, base_color=(0.0, 0.0, 0.0), emission=(emission,) * 3)
+    upright = scenes.rotation("x", np.pi / 2)
+    sheet = scenes.quad(size)
+    objects = [(sheet, scenes.transform((0, 0.01 * i, 0), upright), [material]) for i in range(planes)]
+    objects.append((scenes.quad(size), scenes.transform((0, 1.0, 0), upright), [wall]))
+    sun = scenes.lamp(LightKind.SUN, eye=(0, -3, 0), target=(0, 0, 0), size=(0.0, 0.0))
+    return scenes.build(objects, scenes.camera((0, -2.0, 0), (0, 0, 0), half_width=0.3), [sun])
+
+
 def varied_scenes() -> dict[str, Scene]:
     """What lies beyond constants: maps, normal maps, mixes, alpha."""
     bumpy = {"normal": TextureMap(0, uv_layer=1)}
@@ -113,7 +124,7 @@ def varied_scenes() -> dict[str, Scene]:
     red = Material("red", kind=MaterialKind.DIFFUSE, base_color=(0.8, 0.1, 0.1))
     glow = Material("glow", emission=(2.0, 1.0, 0.5), base_color=(0.1, 0.1, 0.1))
     mix = Material("mix", kind=MaterialKind.MIX, first=2, second=3, factor=0.3)
-    lit_coat = Material("lit coat", emission=(1.0, 0.7, 0.4), coat_weight=0.8, coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
+    lit_coat = dataclasses.replace(COAT, emission=(1.0, 0.7, 0.4), coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
     return {
         "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),
@@ -123,6 +134,15 @@ def varied_scenes() -> dict[str, Scene]:
         "fresnel_mix": material_scene(dataclasses.replace(mix, factor_fresnel_ior=1.5), red, glass),
         "facing_mix": material_scene(dataclasses.replace(mix, factor_facing_blend=0.7), red, glass),
         "sum": material_scene(Material("sum", kind=MaterialKind.ADD, first=2, second=3), red, glow),
+        "alpha": material_scene(Material("half there", base_color=(0.7, 0.3, 0.2), alpha=0.4)),
+        "cut_out": material_scene(
+            Material("cut out", emission=(1.0, 0.5, 0.2), maps={"alpha": TextureMap(0, 1)}), textures=[noise_texture()]
+        ),
+        "transparent_mix": material_scene(
+            dataclasses.replace(mix, factor_facing_blend=0.4),
+            glass,
+            Material("film", kind=MaterialKind.TRANSPARENT, base_color=(0.9, 0.5, 0.3)),
+        ),
         "nested": material_scene(
             Material("nested", kind=MaterialKind.MIX, first=2, second=3, maps={"factor": TextureMap(0)}),
             Material("sum", kind=MaterialKind.ADD, first=4, second=5),

@@ -7,7 +7,24 @@ import dataclasses
 
 import numpy as np
 
-from svgf.scene import Camera, Instances, Light, LightKind, Material, Mesh, Scene, Texture, TextureMap, World
+from svgf.light_paths import LightPaths
+from svgf.scene import (
+    Aperture,
+    Camera,
+    Instances,
+    Light,
+    LightKind,
+    Material,
+    MaterialKind,
+    Mesh,
+    Projection,
+    RayVisibility,
+    RenderDefaults,
+    Scene,
+    Texture,
+    TextureMap,
+    World,
+)
 
 WHITE = Material("white", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
 RED = Material("red", base_color=(0.7, 0.1, 0.1), specular_ior_level=0.0)
@@ -260,6 +277,118 @@ def mesh_light_scene() -> Scene:
     return build(objects, camera((0.5, -3.0, 2.5), (0, 0, 0.3)))
 
 
+def sky_texture(height: int = 24) -> Texture:
+    """An equirectangular sky: a small bright sun, a glow around it, and a dark ground."""
+    rng = np.random.default_rng(5)
+    pixels = rng.uniform(0.1, 0.4, (height, 2 * height, 4)).astype(np.float32)
+    pixels[: height // 2] *= 0.2
+    pixels[2 * height // 3, height // 2, :3] = 400.0, 350.0, 250.0
+    return Texture("sky", pixels, srgb=False)
+
+
+def environment_scene() -> Scene:
+    """A floor, a glossy and a mirror sphere under an image of a sky, turned about two axes."""
+    objects = [
+        (quad(4.0), transform(), [WHITE]),
+        (sphere(0.4, rows=8), transform((0.5, 0.3, 0.4)), [GLOSSY]),
+        (sphere(0.3, rows=8), transform((-0.6, 0.1, 0.3)), [MIRROR]),
+    ]
+    turn = tuple((rotation("x", 0.3) @ rotation("z", 1.0)).ravel())
+    world = World((1.0, 0.9, 0.8), environment=0, world_to_environment=turn)
+    return build(objects, camera((0.5, -3.0, 1.5), (0, 0, 0.2)), textures=[sky_texture()], world=world)
+
+
+def many_lights_scene(count: int = 60) -> Scene:
+    """Small lamps of every kind and two emissive balls all over a floor, and a sun."""
+    rng = np.random.default_rng(11)
+    glow = Material("glow", base_color=(0.2, 0.2, 0.2), emission=(3.0, 2.0, 1.0), specular_ior_level=0.0)
+    ball = sphere(0.05, rows=4, smooth=False)
+    objects = [
+        (quad(6.0), transform(), [WHITE]),
+        (sphere(0.3, rows=8), transform((0.5, 0.3, 0.3)), [GLOSSY]),
+        *((ball, transform((x, 0.5, 0.4)), [glow]) for x in (-1.5, 1.2)),
+    ]
+    kinds = (LightKind.POINT, LightKind.SPOT, LightKind.RECTANGLE, LightKind.ELLIPSE)
+    lights = [lamp(LightKind.SUN, power=(3, 3, 3))]
+    for number in range(count):
+        eye = rng.uniform((-2.5, -2.5, 0.2), (2.5, 2.5, 0.9))
+        sizes = {0: (0.0, 0.0), 1: (0.03, 0.03)}[number % 3 > 0]
+        kind = kinds[number % 4]
+        sizes = (0.05, 0.08) if kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) else sizes
+        target = eye + rng.normal(size=3) * (1, 1, 0.3) - (0, 0, 1)
+        lights.append(lamp(kind, eye, target, power=rng.uniform(0.1, 1.5, 3), size=sizes))
+    return build(objects, camera((0.5, -3.0, 2.5), (0, 0, 0)), lights)
+
+
+def textured_light_scene() -> Scene:
+    """A floor under a screen: two triangles that shine as an image says."""
+    screen = Material(
+        "screen", base_color=(0.1, 0.1, 0.1), emission=(8.0, 6.0, 4.0), specular_ior_level=0.0,
+        maps={"emission": TextureMap(0, uv_transform=(0.5, 0.0, 0.2, 0.1, 0.7, 0.0))},
+    )  # fmt: skip
+    objects = [
+        (quad(4.0), transform(), [WHITE]),
+        (quad(0.8), transform((0, 0, 1.2), rotation("x", 0.6)), [screen]),
+        (sphere(0.3, rows=8), transform((0.6, 0.2, 0.3)), [METAL]),
+    ]
+    return build(objects, camera((0.5, -3.0, 2.5), (0, 0, 0.3)), textures=[checker_texture()])
+
+
+def cutout_scene() -> Scene:
+    """A floor with a lamp behind panes: tinted, half transparent, and one that an image cuts holes into; the camera
+    looks through one of them too."""
+    tinted = Material("tinted", kind=MaterialKind.TRANSPARENT, base_color=(0.9, 0.3, 0.2))
+    half = Material("half", base_color=(0.2, 0.4, 0.8), alpha=0.4, specular_ior_level=0.0)
+    holes = Material("holes", base_color=(0.3, 0.7, 0.3), specular_ior_level=0.0, maps={"alpha": TextureMap(0)})
+    pane = quad(1.2)
+    objects = [
+        (quad(4.0), transform(), [WHITE]),
+        *((pane, transform((x, 0, 0.9), rotation("y", 0.2)), [m]) for x, m in ((-1, tinted), (0, half), (1, holes))),
+        (pane, transform((0.2, -1.2, 0.6), rotation("x", 1.3)), [half]),
+        (sphere(0.3, rows=8), transform((0.3, 0.3, 0.3)), [GLOSSY]),
+    ]
+    light = lamp(LightKind.RECTANGLE, eye=(0.2, 0, 2.0), target=(0, 0, 0))
+    view, world = camera((0.5, -3.0, 2.5), (0, 0, 0.3)), World((0.2, 0.3, 0.4))
+    return build(objects, view, [light], textures=[checker_texture()], world=world)
+
+
+def visibility_scene() -> Scene:
+    """Every object and lamp is hidden from another kind of ray."""
+    scene = box_scene()
+    kinds = [RayVisibility.ALL & ~kind for kind in RayVisibility]
+    visibility = np.array([RayVisibility.ALL, *kinds], dtype=np.uint8)
+    lights = tuple(
+        dataclasses.replace(scene.lights[0], name=f"lamp {number}", visibility=RayVisibility.ALL & ~kind)
+        for number, kind in enumerate((RayVisibility.CAMERA, RayVisibility.DIFFUSE, RayVisibility.GLOSSY))
+    )
+    world = World((0.2, 0.3, 0.5), visibility=RayVisibility.ALL & ~RayVisibility.DIFFUSE)
+    instances = dataclasses.replace(scene.instances, visibility=visibility)
+    return dataclasses.replace(scene, instances=instances, lights=lights, world=world)
+
+
+def limited_scene() -> Scene:
+    """All that LightPaths can cut short, at once."""
+    paths = LightPaths(1, 2, 3, 8, False, False, clamp_direct=0.7, clamp_indirect=0.2, filter_glossy=0.5)
+    return dataclasses.replace(box_scene(), defaults=RenderDefaults(light_paths=paths, transparent_film=True))
+
+
+def orthographic(scene: Scene, scale: float = 3.0) -> Scene:
+    def change(view: Camera) -> Camera:
+        window = tuple(scale * side for side in view.window)
+        return dataclasses.replace(view, window=window, projection=Projection.ORTHOGRAPHIC)
+
+    return dataclasses.replace(scene, camera=change(scene.camera), previous_camera=change(scene.previous_camera))
+
+
+def out_of_focus(scene: Scene, **aperture) -> Scene:
+    lens = Aperture(**{"radius": 0.1, "focus_distance": 3.0, **aperture})
+    return dataclasses.replace(
+        scene,
+        camera=dataclasses.replace(scene.camera, aperture=lens),
+        previous_camera=dataclasses.replace(scene.previous_camera, aperture=lens),
+    )
+
+
 def closed_box(material: Material) -> Scene:
     """The camera inside of a cube of one material."""
     view = camera((0.1, 0.2, -0.1), (1.0, 0.3, 0.2))
@@ -274,6 +403,16 @@ def device_scenes() -> dict[str, Scene]:
         "moving": moving_scene(),
         "deforming": deforming_scene(),
         "mesh_light": mesh_light_scene(),
+        "environment": environment_scene(),
+        "many_lights": many_lights_scene(),
+        "textured_light": textured_light_scene(),
+        "cutouts": cutout_scene(),
+        "visibility": visibility_scene(),
+        "limited": limited_scene(),
+        "orthographic": orthographic(moving_scene()),
+        "out_of_focus": out_of_focus(moving_scene()),
+        "polygon_aperture": out_of_focus(textured_scene(), blades=5, rotation=0.3, ratio=2.0),
+        "spread": lamp_scene(dataclasses.replace(lamp(LightKind.RECTANGLE, eye=(0.6, -0.5, 1.0)), spread=1.0)),
         "empty": build([], camera((0, -1, 0), (0, 0, 0)), world=World((0.2, 0.3, 0.4))),
     }
     for kind in LightKind:

@@ -325,7 +325,8 @@ def test_nothing_leaks_through_the_geometric_surface(material):
     lit = (sample.diffuse + sample.specular).max(axis=1) > 0
     same_side = (sample.direction[:, 2] > 0) == (np.einsum("ni,ni->n", sample.direction, repeat(bsdf, 5000).normal) > 0)
     assert same_side[lit].all()
-    if material.transmission == 0 and material.kind in (MaterialKind.PRINCIPLED, MaterialKind.DIFFUSE, MaterialKind.GLOSSY):
+    opaque = (MaterialKind.PRINCIPLED, MaterialKind.DIFFUSE, MaterialKind.GLOSSY)
+    if material.transmission == 0 and material.kind in opaque:
         assert (sample.direction[lit, 2] > 0).all()
     assert np.isfinite(sample.diffuse).all() and np.isfinite(sample.specular).all()
 
@@ -354,7 +355,15 @@ def test_lambert_stays_where_layers_have_no_weight(material):
 
 
 def test_events_are_what_cycles_counts():
-    kinds = {"rough diffuse": {1}, "sheen": {1, 2}, "coat": {1, 2}, "glossy": {2}, "refraction": {3}, "translucent": {3}}
+    diffuse, glossy, transmission = reference.DIFFUSE, reference.GLOSSY, reference.TRANSMISSION
+    kinds = {
+        "rough diffuse": {diffuse},
+        "sheen": {diffuse, glossy},
+        "coat": {diffuse, glossy},
+        "glossy": {glossy},
+        "refraction": {transmission},
+        "translucent": {transmission},
+    }
     for material in SINGLE:
         if material.name in kinds:
             sample = draw(make(material, direction(40)), 2000, seed=4)

@@ -416,6 +416,28 @@ def test_doctor(scene_file: Path) -> None:
     assert result.exit_code == 2 and result.stderr.startswith("Error: Cannot read") and result.stderr.count("\n") == 1
 
 
+def test_bench_rays(tmp_path: Path, monkeypatch) -> None:
+    from svgf.bench import rays
+
+    monkeypatch.setattr(rays, "ROOMS", {"tiny": 2})
+    monkeypatch.setattr(rays, "UPDATED_ROOMS", {"tiny": 2})
+    csv_file, plot_file = tmp_path / "rays.csv", tmp_path / "rays.png"
+    assert_done(run("bench", "rays", *SMALL[:4], "--count", 1, "--csv", csv_file, "--plot", plot_file))
+    rows = list(csv.DictReader(csv_file.open()))
+    assert {row["what"] for row in rows if row["scene"] == "tiny"} >= {"primary", "bounce", "shadow", "build", "deform"}
+    assert all(float(row["milliseconds"]) > 0 for row in rows)
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_bench_effects(scene_file: Path, tmp_path: Path) -> None:
+    csv_file, plot_file = tmp_path / "effects.csv", tmp_path / "effects.png"
+    assert_done(run("bench", "effects", scene_file, *SMALL, "--count", 1, "--csv", csv_file, "--plot", plot_file))
+    rows = list(csv.DictReader(csv_file.open()))
+    assert rows[-1]["what"] == "full kernel"
+    assert all(float(row["on_ms"]) > 0 and float(row["off_ms"]) > 0 for row in rows)
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+
+
 def test_bench_denoise(tmp_path: Path) -> None:
     size = ("--size", "40x24", "--size", "64x36", "--count", 2, "--warm-up", 5)
     files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.png")

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects, find_effects
-from svgf.flatten import MATERIAL_COLUMNS, TRIANGLE, flatten, material_map_rows, material_rows
+from svgf.flat_lights import TRIANGLE
+from svgf.flatten import MATERIAL_COLUMNS, flatten, material_map_rows, material_rows
 from svgf.scene import MATERIAL_INPUTS, Light, LightKind, Material, MaterialKind, TextureMap, World
 
 from . import scenes
@@ -260,18 +261,18 @@ def test_probabilities_are_shares_of_the_weights():
     ]
     flat = flatten(scenes.build(objects, VIEW, lamps))
     radius = np.sqrt(8) / 2
-    weights = np.array([6.0, 2.0 * np.pi * radius**2, 2.0, 2.0 * 2.0 * np.pi, 2.0 * 2.0 * np.pi])
+    weights = np.array([2.0 * np.pi * radius**2, 6.0, 2.0, 2.0 * 2.0 * np.pi, 2.0 * 2.0 * np.pi])
     np.testing.assert_allclose(flat.light_probability, weights / weights.sum())
     np.testing.assert_allclose(flat.light_cdf, np.concatenate([[0], np.cumsum(weights)]) / weights.sum())
     assert flat.light_cdf[0] == 0 and flat.light_cdf[-1] == 1
-    # A triangle that is hit knows its probability without looking itself up.
-    assert 2.0 * 2.0 * flat.triangle_light_scale == pytest.approx(flat.light_probability[-1])
+    # Suns come first.
+    assert flat.light_kind.tolist() == [LightKind.SUN, LightKind.POINT, LightKind.RECTANGLE, TRIANGLE, TRIANGLE]
 
 
 def test_without_lights():
     flat = flatten(scenes.build([(scenes.quad(), scenes.transform(), [scenes.WHITE])], VIEW))
     assert flat.light_kind.shape == (0,) and flat.light_data.shape == (0, 24) and flat.light_cdf.tolist() == [0.0]
-    assert flat.triangle_light_scale == 0.0
+    assert not len(flat.light_tree) and (flat.emitter == -1).all()
 
 
 def test_lamp_units():

@@ -8,6 +8,7 @@ import pytest
 
 from svgf.flatten import flatten
 from svgf.reference.lights import Lights
+from svgf.renderer import LIGHT_FIELDS
 from svgf.scene import Light, LightKind
 
 from . import scenes
@@ -19,11 +20,10 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def lights_of(scene) -> Lights:
     flat = flatten(scene)
-    data = flat.light_data.copy()
-    data[:, 0:3] += flat.origin  # back to where the tests count from
-    return Lights(
-        flat.light_kind, data, flat.light_probability, flat.light_cdf, flat.triangle_light_scale, flat.world_radiance
-    )
+    columns = {name: getattr(flat, name).copy() for name in LIGHT_FIELDS}
+    columns["light_data"][:, 0:3] += flat.origin  # back to where the tests count from
+    columns["light_tree"][:, :6] += np.tile(flat.origin, 2)
+    return Lights(**columns)
 
 
 def single(light: Light) -> Lights:
@@ -40,8 +40,9 @@ def triangle_lights(vertices, emission=(2.0, 3.0, 4.0)) -> Lights:
 def irradiance_samples(lights: Lights, point=(0.0, 0.0, 0.0), normal=UP, seed: int = 0) -> np.ndarray:
     """[COUNT, 3]: estimates of irradiance at a point; stratified numbers would make the z-test too sure of itself."""
     rng = np.random.default_rng(seed)
-    light = lights.choose(rng.random(COUNT))
-    sample = lights.sample(light, np.tile(np.asarray(point, dtype=np.float64), (COUNT, 1)), rng.random((COUNT, 2)))
+    points = np.tile(np.asarray(point, dtype=np.float64), (COUNT, 1))
+    light, probability = lights.choose(rng.random((COUNT, 2)), points, np.tile(normal, (COUNT, 1)))
+    sample = lights.sample(light, probability, points, rng.random((COUNT, 2)))
     cosine = np.maximum(sample.direction @ normal, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(sample.pdf[:, None] > 0, sample.radiance * (cosine / sample.pdf)[:, None], 0.0)
@@ -168,14 +169,21 @@ def test_many_lights_add_up():
 
 def test_choice_follows_the_probabilities():
     lights = lights_of(scenes.mesh_light_scene())
-    counts = np.bincount(lights.choose(np.random.default_rng(0).random(COUNT)), minlength=len(lights))
+    light, _ = lights.choose(np.random.default_rng(0).random((COUNT, 2)), *np.zeros((2, COUNT, 3)))
+    counts = np.bincount(light, minlength=len(lights))
     assert_histogram(counts, lights.probability * COUNT)
 
 
 def test_choice_at_the_edges_of_the_intervals():
-    lights = Lights([0] * 4, np.zeros((4, 24)), [0.25, 0.0, 0.5, 0.25], [0, 0.25, 0.25, 0.75, 1], 0, np.zeros(3))
+    lights = Lights(
+        light_kind=[0] * 4,
+        light_data=np.zeros((4, 24)),
+        light_probability=[0.25, 0.0, 0.5, 0.25],
+        light_cdf=[0, 0.25, 0.25, 0.75, 1],
+    )
     u = np.array([0, 0.25 - 2**-24, 0.25, 0.75 - 2**-24, 0.75, 1 - 2**-24])
-    np.testing.assert_array_equal(lights.choose(u), [0, 0, 2, 2, 3, 3])
+    light, _ = lights.choose(np.column_stack([u, u]), *np.zeros((2, len(u), 3)))
+    np.testing.assert_array_equal(light, [0, 0, 2, 2, 3, 3])
 
 
 SIZED = {
@@ -194,9 +202,9 @@ def test_rays_find_lamps_with_the_density_of_their_samples(lamp):
     lights = single(lamp)
     rng = np.random.default_rng(1)
     origin = np.zeros((COUNT, 3))
-    sample = lights.sample(np.zeros(COUNT, dtype=int), origin, rng.random((COUNT, 2)))
+    sample = lights.sample(np.zeros(COUNT, dtype=int), np.ones(COUNT), origin, rng.random((COUNT, 2)))
     # The very rim may count or not.
-    ((rows, radiance, pdf),) = lights.crossed_lamps(origin, sample.direction, np.full(COUNT, np.inf))
+    ((_, rows, radiance, pdf),) = lights.crossed_lamps(origin, sample.direction, np.full(COUNT, np.inf))
     assert len(rows) >= 0.9999 * COUNT
     np.testing.assert_allclose(pdf, sample.pdf[rows], rtol=1e-6)
     np.testing.assert_allclose(radiance, sample.radiance[rows], rtol=1e-6, atol=1e-12)
@@ -206,21 +214,23 @@ def test_rays_find_lamps_with_the_density_of_their_samples(lamp):
     directions = rng.normal(size=(COUNT * 10, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     density = np.zeros(len(directions))
-    for rows, _, pdf in lights.crossed_lamps(np.zeros_like(directions), directions, np.full(len(directions), np.inf)):
+    for _, rows, _, pdf in lights.crossed_lamps(np.zeros_like(directions), directions, np.full(len(directions), np.inf)):
         density[rows] = pdf
     assert_mean(density * 4 * np.pi, 1.0)
 
 
 def test_triangle_density_is_that_of_its_samples():
     lights = triangle_lights([(0.5, 0.2, 1.0), (-0.7, 0.4, 0.8), (0.1, -0.9, 1.5)])
-    sample = lights.sample(np.zeros(1000, dtype=int), np.zeros((1000, 3)), np.random.default_rng(2).random((1000, 2)))
+    light = np.zeros(1000, dtype=int)
+    sample = lights.sample(light, np.ones(1000), np.zeros((1000, 3)), np.random.default_rng(2).random((1000, 2)))
     cosine = sample.direction @ lights.axis_z[0]
-    np.testing.assert_allclose(lights.triangle_pdf(sample.radiance, sample.distance, cosine), sample.pdf)
+    assert (lights.find(np.zeros(1000, dtype=int), light) == 0).all()
+    np.testing.assert_allclose(lights.triangle_pdf(light, sample.distance, cosine), sample.pdf)
 
 
 def test_points_on_the_light_itself_are_dark_not_infinite():
     for lamp in (*SIZED.values(), *(scenes.lamp(kind, size=(0.0, 0.0)) for kind in LightKind)):
         lights = single(lamp)
         on_it = np.tile(lamp.light_to_world[:, 3], (100, 1))
-        sample = lights.sample(np.zeros(100, dtype=int), on_it, np.random.default_rng(3).random((100, 2)))
+        sample = lights.sample(np.zeros(100, dtype=int), np.ones(100), on_it, np.random.default_rng(3).random((100, 2)))
         assert np.isfinite(sample.pdf).all() and np.isfinite(sample.radiance).all()

@@ -88,3 +88,19 @@ def test_cpu_builds_give_the_same_bits():
     ]
     np.testing.assert_array_equal(images[0].noisy, images[1].noisy)
     np.testing.assert_array_equal(images[0].color, images[1].color)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ldd is Linux's")
+def test_native_modules_need_the_system_only():
+    """cudart in particular is linked statically: the driver is all that a GPU asks for."""
+    from svgf import _native
+
+    modules = list(Path(_native.__path__[0]).glob("*.so"))
+    if not modules:
+        pytest.skip("the native modules are not built")
+    system = {"linux-vdso", "ld-linux-x86-64", "ld-linux-aarch64", "libc", "libm", "libstdc++", "libgcc_s"}
+    system |= {"libpthread", "libdl", "librt"}  # parts of libc where it is older
+    for module in modules:
+        listing = subprocess.run(["ldd", module], capture_output=True, text=True, check=True).stdout
+        needed = {Path(line.split()[0]).name.partition(".so")[0] for line in listing.splitlines()}
+        assert needed <= system, module

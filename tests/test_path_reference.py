@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects
-from svgf.flatten import AREA_LAMP_RADIANCE
+from svgf.environment import mean_radiance, sampling_map
+from svgf.flat_lights import AREA_LAMP_RADIANCE
+from svgf.light_paths import LightPaths
 from svgf.reference.bsdf import evaluate
-from svgf.scene import Light, LightKind, Material, World
+from svgf.reference.environment import World as Sky
+from svgf.reference.texture import Texture
+from svgf.scene import Light, LightKind, Material, MaterialKind, RenderDefaults, World
 
 from . import scenes
 from .bsdf_cases import make, repeat, sphere_grid
@@ -254,6 +258,96 @@ def test_camera_does_not_see_lamps_but_mirrors_do(device):
     assert inside.sum() > 50
     np.testing.assert_allclose(radiance(images)[..., 0][inside], expected, rtol=1e-4)
     assert not radiance(images)[outside].any()
+
+
+def test_textured_light_over_a_floor(device):
+    """A screen above the floor, by the midpoint rule over its image."""
+    scene = scenes.textured_light_scene()
+    names = ("mesh", "object_to_world", "previous_object_to_world", "object_id", "material_start")
+    floor_and_screen = {name: getattr(scene.instances, name)[:2] for name in names}
+    scene = dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, **floor_and_screen))
+    points, seen = floor_points(device, scene)
+    matrix, cells = scene.instances.object_to_world[1], 40
+    texture = Texture(None, scene.textures[0].pixels, True, 1, 0, False)
+    grid = (np.stack(np.meshgrid(*[np.arange(cells)] * 2), axis=-1).reshape(-1, 2) + 0.5) / cells
+    m = np.reshape(scene.materials[1].maps["emission"].uv_transform, (2, 3))
+    shine = 8.0 * texture.lookup(grid @ m[:, :2].T + m[:, 2])[:, 0]
+    expected = np.zeros(seen.shape)
+    for (u, v), strength in zip(grid, shine):
+        towards = matrix[:, :3] @ [0.8 * (u - 0.5), 0.8 * (v - 0.5), 0.0] + matrix[:, 3] - points
+        squared = (towards**2).sum(axis=-1)
+        part = np.abs(towards @ matrix[:, 2]) * np.maximum(towards[..., 2], 0) / squared**2
+        expected += strength * part * (0.8 / cells) ** 2
+    assert_ratio(trace(device, scene, bounces=0, samples=64), expected * 0.8 / np.pi, seen, rounding=5e-3)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_panes_let_their_share_through(device, count):
+    """A sun straight above panes of alpha 0.4 over a floor: 0.6 of its light passes each; the panes are black."""
+    pane = Material("pane", base_color=(0.0, 0.0, 0.0), alpha=0.4, specular_ior_level=0.0)
+    panes = [(scenes.quad(8.0), scenes.transform((0, 0, 1.0 + i)), [pane]) for i in range(count)]
+    sun = scenes.lamp(LightKind.SUN, eye=(0, 0, 5), target=(0, 0, 0), size=(0.0, 0.0))
+    scene = scenes.build([FLOOR, *panes], scenes.camera((0, -0.9, 0.5), (0, 0, 0)), [sun])
+    images = trace(device, scene, bounces=0)
+    seen = images["object_id"] == 1
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(radiance(images)[..., 0][seen], sun.power[0] * 0.8 / np.pi * 0.6**count, rtol=1e-4)
+    # As seen through them, on the mean over samples: 0.6 of the rays pass each.
+    above = dataclasses.replace(scene, camera=scenes.camera((0, 0.01, 5.0), (0, 0, 0), half_width=0.2))
+    mean = radiance(trace(device, above, bounces=0, samples=64))[..., 0]
+    assert_mean(mean, sun.power[0] * 0.8 / np.pi * 0.6 ** (2 * count), rounding=1e-4)
+
+
+def test_transparent_bounces_end_at_their_limit(device):
+    """Of 64 panes on top of each other, clear but for their number."""
+    pane = Material("pane", kind=MaterialKind.TRANSPARENT, base_color=(1.0, 1.0, 1.0))
+    panes = [(scenes.quad(8.0), scenes.transform((0, 0, 0.5 + 0.01 * i)), [pane]) for i in range(64)]
+    view = scenes.camera((0, 0.01, 5.0), (0, 0, 0), half_width=0.2)
+    # A limit of n lets a ray pass n surfaces; the next one ends it.
+    for limit, expected in ((64, 1.0), (63, 0.0)):
+        scene = scenes.build(panes, view, world=World((1, 1, 1)))
+        paths = LightPaths(transparent_bounces=limit)
+        scene = dataclasses.replace(scene, defaults=RenderDefaults(light_paths=paths, transparent_film=True))
+        images = trace(device, scene)
+        np.testing.assert_allclose(1.0 - images["alpha"], expected)
+
+
+def test_furnace_of_the_environment(device):
+    """Under an image of one colour white stays white: nothing of it is sampled, all of it is found."""
+    sky = dataclasses.replace(scenes.sky_texture(), pixels=np.ones((8, 16, 4), np.float32))
+    white = Material("white", base_color=(1.0, 1.0, 1.0), specular_ior_level=0.0)
+    scene = scenes.build(
+        [(scenes.sphere(1.0, smooth=False), scenes.transform(), [white])], scenes.camera((0, -3, 0), (0, 0, 0)),
+        textures=[sky], world=World((1, 1, 1), environment=0),
+    )  # fmt: skip
+    images = trace(device, scene, bounces=4, samples=16)
+    seen = images["object_id"] == 1
+    np.testing.assert_allclose(radiance(images)[..., 0][seen], 1.0, atol=2e-5)
+
+
+def test_floor_under_an_image(device):
+    """Irradiance by quadrature, of a sky with a bright sun."""
+    scene = scenes.build(
+        [FLOOR], scenes.camera((0, -0.5, 3.0), (0, 0, 0), half_width=0.1), textures=[scenes.sky_texture()],
+        world=World((1, 1, 1), environment=0),
+    )  # fmt: skip
+    sky = Sky((1, 1, 1), image=Texture(None, scene.textures[0].pixels, False, 1, 0, False))
+    directions, solid_angle = sphere_grid(800, 400)
+    expected = (sky.radiance(directions)[:, 0] * np.maximum(directions[:, 2], 0.0)) @ solid_angle * 0.8 / np.pi
+    assert_mean(radiance(trace(device, scene, bounces=0, samples=64))[..., 0], expected, rounding=5e-3)
+
+
+def test_directions_of_an_image_have_their_density():
+    texture = scenes.sky_texture()
+    rows, columns, _ = sampling_map(mean_radiance(texture))
+    sky = Sky((1, 1, 1), image=Texture(None, texture.pixels, False, 1, 0, False), row_cdf=rows, column_cdf=columns,
+              to_environment=scenes.rotation("x", 0.7))  # fmt: skip
+    directions, density = sky.sample(np.random.default_rng(0).random((20_000, 2)))
+    np.testing.assert_allclose(sky.density(directions), density, rtol=1e-6)
+    grid, solid_angle = sphere_grid(800, 400)
+    assert sky.density(grid) @ solid_angle == pytest.approx(1.0, rel=1e-2)
+    # Where nothing is sampled the sky is no brighter than its mean.
+    assert (sky.density(grid) > 0).mean() < 0.6
 
 
 def test_splits_hold_the_same_light(device):

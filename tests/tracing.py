@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 
 from svgf.devices import Device
@@ -14,7 +16,8 @@ WIDTH, HEIGHT = 64, 36
 
 
 def trace(device: Device, scene: Scene, width: int = WIDTH, height: int = HEIGHT, **settings) -> dict[str, np.ndarray]:
-    """What ``Tracer.trace`` returns, on the host, float64 but for ids. settings: see there; 1 sample, 3 bounces, centre
+    """What ``Tracer.trace`` returns, on the host, float64 but for ids; what it leaves out as it would be zero is zero.
+    settings: see there; 1 sample, 3 bounces, centre
     of the pixel, diffuse and specular, unless said."""
     defaults = {
         "sample": 0,
@@ -27,8 +30,12 @@ def trace(device: Device, scene: Scene, width: int = WIDTH, height: int = HEIGHT
     tracer = device.tracer()
     flat = flatten(scene)
     SceneUploader(device, tracer).upload(flat)
+    defaults["light_paths"] = astuple(scene.defaults.light_paths)
+    defaults["transparent_film"] = scene.defaults.transparent_film
     images = tracer.trace(width, height, **{**defaults, "effects": int(flat.effects), **settings})
     images = {name: device.to_numpy(image) for name, image in images.items()}
+    for name in ("specular_albedo", "motion"):
+        images.setdefault(name, np.zeros((height, width, 3)))
     return {name: image if image.dtype == np.int32 else image.astype(np.float64) for name, image in images.items()}
 
 

@@ -6,10 +6,12 @@ from __future__ import annotations
 import bpy
 import numpy as np
 from svgf.errors import InputError
-from svgf.scene import Camera
+from svgf.scene import Aperture, Camera, Projection
 
 from .findings import Findings
 from .transforms import rigid
+
+_SMALLEST_DISTANCE = 1e-5  # of the focus, in metres
 
 
 def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
@@ -21,7 +23,8 @@ def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 def window(
     camera: bpy.types.Camera, width: int, height: int, pixel_aspect: tuple[float, float]
 ) -> tuple[float, float, float, float]:
-    """(left, right, bottom, top) of the image on the plane one unit in front of a perspective camera.
+    """(left, right, bottom, top) of the image, on the plane one unit in front of a perspective camera, in metres for an
+    orthographic one.
 
     The sensor spans the image along one axis: the one that `sensor_fit` names, or the longer one with AUTO, which
     always takes the sensor's width. Shift is measured in units of that axis too.
@@ -29,7 +32,7 @@ def window(
     across, down = width * pixel_aspect[0], height * pixel_aspect[1]
     horizontal = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and across >= down)
     sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
-    span = sensor / camera.lens
+    span = camera.ortho_scale if camera.type == "ORTHO" else sensor / camera.lens
     scale = span / (across if horizontal else down)
     half_width, half_height = across * scale / 2, down * scale / 2
     x, y = camera.shift_x * span, camera.shift_y * span
@@ -61,12 +64,41 @@ def export_camera(
         camera_to_world=rigid(matrix),
         window=window(data, *size, (render.pixel_aspect_x, render.pixel_aspect_y)),
         clip=(data.clip_start, data.clip_end),
+        projection=Projection.ORTHOGRAPHIC if data.type == "ORTHO" else Projection.PERSPECTIVE,
+        aperture=export_aperture(camera),
     )
 
 
+def export_aperture(camera: bpy.types.Object) -> Aperture:
+    """As Cycles has it: the f-number divides the focal length, in millimetres, or 1 m for parallel rays."""
+    data, lens = camera.data, camera.data.dof
+    if not lens.use_dof or lens.aperture_fstop <= 0:
+        return Aperture()
+    focal_length = 1.0 if data.type == "ORTHO" else data.lens * 1e-3
+    return Aperture(
+        radius=focal_length / (2 * lens.aperture_fstop),
+        focus_distance=max(_focus_distance(camera), _SMALLEST_DISTANCE),
+        blades=lens.aperture_blades,
+        rotation=lens.aperture_rotation,
+        ratio=lens.aperture_ratio,
+    )
+
+
+def _focus_distance(camera: bpy.types.Object) -> float:
+    """Along the view, to the object in focus where there is one."""
+    lens = camera.data.dof
+    if lens.focus_object is None:
+        return lens.focus_distance
+    matrix = lens.focus_object.matrix_world
+    pose = lens.focus_object.pose
+    bone = pose.bones.get(lens.focus_subtarget) if pose and lens.focus_subtarget else None
+    if bone is not None:
+        matrix = matrix @ bone.matrix
+    axis = rigid(np.array(camera.matrix_world, np.float64))[:, 2]
+    return float(abs(axis @ (np.array(matrix.translation) - np.array(camera.matrix_world.translation))))
+
+
 def _find_unsupported(camera: bpy.types.Camera, findings: Findings) -> None:
-    if camera.type != "PERSP":
+    if camera.type not in {"PERSP", "ORTHO"}:
         name = camera.bl_rna.properties["type"].enum_items[camera.type].name.lower()
         findings.add(camera, f"{name} cameras are not supported yet; a perspective one is used instead.")
-    if camera.dof.use_dof:
-        findings.add(camera, "depth of field is not supported yet; everything is in focus.")

@@ -16,12 +16,13 @@ class Changes:
     """geometry: full names of objects whose meshes may differ. images: full names of images whose pixels may.
 
     materials: full names of those whose nodes may differ; None: any.
-    Matrices, lamps and the world are few or read in bulk, so they are read with every export.
+    moves_only: objects have moved, and that is all. Otherwise lamps and the world, which are few, are read again.
     """
 
     geometry: frozenset[str] = _NOTHING
     images: frozenset[str] = _NOTHING
     materials: frozenset[str] | None = _NOTHING
+    moves_only: bool = False
 
 
 def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None:
@@ -30,13 +31,14 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
     A camera is no part of an exported view, whose own camera comes from its matrices. A scene without flags may mean
     that an object was selected as well as hidden.
     """
-    geometry, images, materials, exports = set(), set(), set(), False
+    geometry, images, materials, exports, moves_only = set(), set(), set(), False, True
     trees, owned = set(), set()
     for update in updates:
         changed = update.id
         if isinstance(changed, bpy.types.Camera) or getattr(changed, "type", "") == "CAMERA":
             continue
         exports = True
+        moves_only &= isinstance(changed, bpy.types.Object) and _has_only_moved(update)
         if isinstance(changed, bpy.types.Material):
             materials.add(changed.name_full)
             owned.add(changed.original.node_tree)
@@ -50,4 +52,8 @@ def find_changes(updates: Iterable[bpy.types.DepsgraphUpdate]) -> Changes | None
         return None
     # A tree comes without its material where a colour ramp was edited; a group may be used by any.
     known = frozenset(materials) if trees <= owned else None
-    return Changes(frozenset(geometry), frozenset(images), known)
+    return Changes(frozenset(geometry), frozenset(images), known, moves_only)
+
+
+def _has_only_moved(update: bpy.types.DepsgraphUpdate) -> bool:
+    return update.is_updated_transform and not (update.is_updated_geometry or update.is_updated_shading)

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Set
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import bpy
 import numpy as np
 from svgf.errors import InputError
+from svgf.light_paths import LightPaths
 from svgf.scene import Camera, Instances, Light, Material, Mesh, RenderDefaults, Scene, Texture, World
 
 from .camera import export_camera, render_size
 from .changes import Changes
-from .findings import Findings
-from .instances import Key, collect, object_ids
+from .findings import Finding, Findings
+from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .textures import TextureCache
@@ -23,6 +24,11 @@ from .uv_maps import find_uv_layers
 from .world import export_world
 
 _T = TypeVar("_T")
+
+
+def never() -> bool:
+    """Of Exporter.should_stop."""
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +39,13 @@ class _Snapshot:
     camera_name: str
     camera: Camera
     keys: dict[Key, int]
+    object_id: np.ndarray
+    layout: Layout
     matrices: np.ndarray
     meshes: tuple[Mesh, ...]
     instance_mesh: np.ndarray
     material_start: np.ndarray
+    visibility: np.ndarray
     material_table: np.ndarray
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
@@ -51,11 +60,12 @@ class _Snapshot:
 class ExportCounters:
     """What an exporter did since it was made.
 
-    exports: walks through all objects. full: those that read every mesh. meshes: read from Blender. instances,
-    materials, lights: that were new or differed from those of the export before.
+    exports: scenes that were made. walks: of these, made by looking at every object. full: walks that read every mesh.
+    meshes: read from Blender. instances, materials, lights: that were new or differed from those of the export before.
     """
 
     exports: int = 0
+    walks: int = 0
     full: int = 0
     meshes: int = 0
     instances: int = 0
@@ -68,10 +78,14 @@ class Exporter:
 
     The state at the previous frame is that of the last call, whichever frame it was for: ``observe`` takes one in
     without making a scene of it.
+
+    should_stop: is asked before each mesh is read; where it says so, the call raises Interrupted, and is the last one.
     """
 
     def __init__(self) -> None:
         self.counters = ExportCounters()
+        self.findings: tuple[Finding, ...] = ()  # of the last call
+        self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
         self._textures = TextureCache()
         self._materials = MaterialCache()
@@ -126,6 +140,8 @@ class Exporter:
         """
         last = self._last
         if changes is not None:
+            if changes.moves_only and last is not None and self._move(depsgraph, camera):
+                return self._scene(self._last, last)
             self._textures.forget(changes.images)
         if changes is None or changes.images or changes.materials is None:
             self._materials.forget()
@@ -136,6 +152,18 @@ class Exporter:
             depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
         )
         return self._scene(now, last)
+
+    def _move(self, depsgraph: bpy.types.Depsgraph, camera: Camera) -> bool:
+        """Brings the last snapshot up to date where nothing but matrices differs; False where there is more to read."""
+        last = self._last
+        matrices = moved_matrices(depsgraph, last.layout)
+        if matrices is None:
+            return False
+        frame = depsgraph.scene_eval.frame_current
+        self._last = replace(last, frame=frame, camera=_keep(camera, last.camera), matrices=matrices)
+        self.counters.exports += 1
+        self.counters.instances += _moved_count(self._last, last)
+        return True
 
     def _take(
         self, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None, camera: bpy.types.Object | None
@@ -158,37 +186,48 @@ class Exporter:
         space: bpy.types.SpaceView3D | None = None,
     ) -> _Snapshot:
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
-        _find_unsupported(scene, findings)
+        _find_unsupported(scene, view_layer, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
         materials = MaterialTable(self._textures, self._materials, findings, layers)
-        self._meshes.start_frame(changed, layers.names)
+        self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
-        world = export_world(getattr(view_layer, "world_override", None) or scene.world, self._textures, findings)
+        world = getattr(view_layer, "world_override", None) or scene.world
+        world, sky = export_world(world, self._textures, findings)
+        textures = list(materials.textures)
+        if sky is not None:
+            world = replace(world, environment=len(textures))
+            textures.append(sky)
+        keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
             frame=scene.frame_current,
             camera_name=camera_name,
             camera=_keep(camera, last and last.camera),
-            keys={key: row for row, key in enumerate(placements.keys)},
+            keys=keys,
+            object_id=last.object_id if last and keys == last.keys else object_ids(keys),
+            layout=placements.layout,
             matrices=placements.matrices,
             meshes=_keep_all(placements.meshes, last and last.meshes),
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
+            visibility=np.array(placements.visibility, np.uint8),
             material_table=np.array(placements.material_table, np.int32),
             materials=_keep_all(materials.materials, last and last.materials),
-            textures=_keep_all(materials.textures, last and last.textures),
+            textures=_keep_all(textures, last and last.textures),
             lights=_keep_all(placements.lights, last and last.lights),
             world=_keep(world, last and last.world),
             defaults=render_defaults(scene, size),
             name=scene.name,
             warnings=findings.sentences(),
         )
+        self.findings = findings.found()
         self._count(self._last, last, full=changed is None)
         return self._last
 
     def _count(self, now: _Snapshot, last: _Snapshot | None, full: bool) -> None:
         counters = self.counters
         counters.exports += 1
+        counters.walks += 1
         counters.full += full
         counters.meshes = self._meshes.reads
         counters.instances += _moved_count(now, last)
@@ -200,9 +239,10 @@ class Exporter:
             mesh=now.instance_mesh,
             object_to_world=now.matrices,
             previous_object_to_world=_previous_matrices(now, last),
-            object_id=object_ids(now.keys),
+            object_id=now.object_id,
             material_start=now.material_start,
             material_table=now.material_table,
+            visibility=now.visibility,
         )
         self._instances = _keep(instances, self._instances)
         return Scene(
@@ -238,10 +278,9 @@ def _previous_matrices(now: _Snapshot, last: _Snapshot | None) -> np.ndarray:
     """float64 [N, 3, 4]: an object that was not there at the previous frame has not moved."""
     if last is None or not len(now.matrices):
         return now.matrices
-    rows = np.array([last.keys.get(key, -1) for key in now.keys])
+    rows = _rows_before(now, last)
     known = rows >= 0
-    previous = now.matrices.copy()
-    previous[known] = last.matrices[rows[known]]
+    previous = np.where(known[:, None, None], last.matrices[rows], now.matrices) if len(last.matrices) else now.matrices
     return now.matrices if np.array_equal(previous, now.matrices) else previous
 
 
@@ -249,10 +288,17 @@ def _moved_count(now: _Snapshot, last: _Snapshot | None) -> int:
     """Placements that are new, or elsewhere than in the last snapshot."""
     if last is None:
         return len(now.keys)
-    rows = np.array([last.keys.get(key, -1) for key in now.keys], int)
+    rows = _rows_before(now, last)
     known = rows >= 0
     same = (now.matrices[known] == last.matrices[rows[known]]).all(axis=(1, 2))
     return len(rows) - int(np.count_nonzero(same))
+
+
+def _rows_before(now: _Snapshot, last: _Snapshot) -> np.ndarray:
+    """int [N] row of each placement in the last snapshot, -1 where it was not there."""
+    if now.keys is last.keys:
+        return np.arange(len(now.keys))
+    return np.array([last.keys.get(key, -1) for key in now.keys], int)
 
 
 def _new_count(now: tuple[_T, ...], last: tuple[_T, ...] | None) -> int:
@@ -269,17 +315,33 @@ def render_defaults(scene: bpy.types.Scene, size: tuple[int, int]) -> RenderDefa
         frames_per_second=render.fps / render.fps_base,
         bounces=getattr(cycles, "max_bounces", RenderDefaults.bounces),
         exposure=getattr(cycles, "film_exposure", RenderDefaults.exposure),
+        light_paths=LightPaths() if cycles is None else _light_paths(cycles),
+        transparent_film=render.film_transparent,
     )
 
 
-def _find_unsupported(scene: bpy.types.Scene, findings: Findings) -> None:
+def _light_paths(cycles: bpy.types.PropertyGroup) -> LightPaths:
+    """Cycles' own settings of a scene."""
+    return LightPaths(
+        diffuse_bounces=cycles.diffuse_bounces,
+        glossy_bounces=cycles.glossy_bounces,
+        transmission_bounces=cycles.transmission_bounces,
+        transparent_bounces=cycles.transparent_max_bounces,
+        reflective_caustics=cycles.caustics_reflective,
+        refractive_caustics=cycles.caustics_refractive,
+        clamp_direct=cycles.sample_clamp_direct,
+        clamp_indirect=cycles.sample_clamp_indirect,
+        filter_glossy=cycles.blur_glossy,
+    )
+
+
+def _find_unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, findings: Findings) -> None:
     render = scene.render
+    off = [name for switch, name in (("use_sky", "sky"), ("use_solid", "surfaces")) if not getattr(view_layer, switch)]
+    if off:
+        findings.add(scene, f"view layers without {', '.join(off)} are not supported yet; they are there.")
     if render.use_motion_blur:
         findings.add(scene, "motion blur is not supported yet; frames are sharp.")
-    if render.use_border:
-        findings.add(scene, "the render region is not supported yet; the whole frame is rendered.")
-    if render.film_transparent:
-        findings.add(scene, "a transparent film is not supported yet; the world is seen behind the scene.")
     if render.use_freestyle:
         findings.add(scene, "Freestyle is not supported; no lines are drawn.")
 

@@ -17,6 +17,8 @@ from .frames import export_frame
 
 _SCRIPTS_NOT_RUN = ("Scripts and Python drivers of the file are not run; what they animate stands still.",)
 
+_WHOLE_FRAME = ("The render region is not exported; the whole frame is.",)
+
 
 class _ExportEngine(bpy.types.RenderEngine):
     """Renders nothing: Blender builds a dependency graph with render visibility and levels for render engines alone."""
@@ -61,6 +63,7 @@ def export_file(
     if report:
         report(0, len(frames))
     warnings = _SCRIPTS_NOT_RUN if bpy.app.autoexec_fail else ()
+    warnings += _WHOLE_FRAME if scene.render.use_border else ()
     bpy.utils.register_class(_ExportEngine)
     try:
         _prepare(scene)

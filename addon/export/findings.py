@@ -3,9 +3,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 
 _NAMES_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """id_type: Blender's, of the data-blocks with these names. text: what is not simulated and what is done instead."""
+
+    id_type: str
+    names: tuple[str, ...]
+    text: str
+
+    @property
+    def sentence(self) -> str:
+        """Such as ``Material "Wall", "Floor": normal maps are not supported yet; ...``."""
+        kind = self.id_type.replace("_", " ").capitalize()
+        return f"{kind} {_enumerate(self.names)}: {self.text}"
 
 
 class Findings:
@@ -16,8 +33,10 @@ class Findings:
 
     def add(self, datablock: bpy.types.ID, text: str) -> None:
         """text: what is not simulated and what is done instead, ending in a full stop."""
-        kind = datablock.id_type.replace("_", " ").capitalize()
-        self._names.setdefault((kind, text), {})[datablock.name] = None
+        self._names.setdefault((datablock.id_type, text), {})[datablock.name] = None
+
+    def found(self) -> tuple[Finding, ...]:
+        return tuple(Finding(id_type, tuple(names), text) for (id_type, text), names in self._names.items())
 
     def extend(self, other: Findings) -> None:
         """Adds all that another one has collected."""
@@ -25,8 +44,7 @@ class Findings:
             self._names.setdefault(key, {}).update(names)
 
     def sentences(self) -> tuple[str, ...]:
-        """Such as ``Material "Wall", "Floor": normal maps are not supported yet; ...``."""
-        return tuple(f"{kind} {_enumerate(list(names))}: {text}" for (kind, text), names in self._names.items())
+        return tuple(finding.sentence for finding in self.found())
 
 
 def find_light_linking(obj: bpy.types.Object, findings: Findings) -> None:
@@ -36,6 +54,6 @@ def find_light_linking(obj: bpy.types.Object, findings: Findings) -> None:
         findings.add(obj, "light linking is not supported yet; lamps shine on everything.")
 
 
-def _enumerate(names: list[str]) -> str:
+def _enumerate(names: tuple[str, ...]) -> str:
     shown = ", ".join(f'"{name}"' for name in names[:_NAMES_SHOWN])
     return shown if len(names) <= _NAMES_SHOWN else f"{shown} and {len(names) - _NAMES_SHOWN} more"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from svgf.scene import Scene
 
-from .exporter import Exporter
+from .exporter import Exporter, never
 
 
 def export_frame(
@@ -18,8 +18,21 @@ def export_frame(
     """The frame that the engine was asked to render.
 
     Where the exporter has not just seen the frame before, Blender evaluates that one first: a part of an animation, or
-    a single frame, moves exactly as in the whole. Raises InputError without a camera or a mesh.
+    a single frame, moves exactly as in the whole. Raises InputError without a camera or a mesh, Interrupted after Esc.
     """
+    exporter.should_stop = engine.test_break
+    try:
+        return _export(engine, depsgraph, exporter, size)
+    finally:
+        exporter.should_stop = never
+
+
+def _export(
+    engine: bpy.types.RenderEngine,
+    depsgraph: bpy.types.Depsgraph,
+    exporter: Exporter,
+    size: tuple[int, int] | None,
+) -> Scene:
     frame, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
     if exporter.frame != frame - 1:
         engine.frame_set(frame - 1, subframe)

@@ -9,13 +9,14 @@ from zlib import crc32
 
 import bpy
 import numpy as np
-from svgf.scene import Light, Mesh
+from svgf.scene import Light, Mesh, RayVisibility
 
 from .findings import Findings, find_light_linking
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
 from .uv_maps import UvUse
+from .visibility import ray_visibility
 
 # Names a placement in every frame: the object, and for an instance also its parent and its number there.
 Key = tuple[str, str, bytes]
@@ -23,7 +24,6 @@ Key = tuple[str, str, bytes]
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
 
-_RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
     "POINTCLOUD": "point clouds are",
@@ -32,20 +32,37 @@ _UNSUPPORTED_TYPES = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which of the depsgraph's instances became rows: as long as they stay the same, their matrices are all to read.
+
+    persistent_ids: int32 [I, 8] of all instances. rows: those that are placements. still: int [J], instances whose
+    matrix matters to more than a placement (lamps), or that were left out for it. matrices: float32 [J, 4, 4] of these.
+    """
+
+    persistent_ids: np.ndarray
+    rows: np.ndarray
+    still: np.ndarray
+    matrices: np.ndarray
+
+
 @dataclass
 class Placements:
     """Rows of mesh placements, and the lamps. The lists and matrices have one entry a row.
 
     mesh: index into meshes. matrices: float64 [N, 3, 4], object to world. material_start: into material_table.
+    visibility: bits of RayVisibility.
     """
 
     meshes: list[Mesh] = field(default_factory=list)
     keys: list[Key] = field(default_factory=list)
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
+    visibility: list[int] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
+    layout: Layout | None = None
 
     def uv_use(self) -> UvUse:
         scales = np.cbrt(np.abs(np.linalg.det(self.matrices[:, :, :3])))
@@ -60,7 +77,29 @@ def collect(
     space: bpy.types.SpaceView3D | None = None,
 ) -> Placements:
     """Reads all object instances of the evaluated frame, those that `space` hides (as in its local view) left out."""
-    return _Collector(mesh_cache, materials, findings, depsgraph.view_layer_eval, space).collect(depsgraph)
+    return _Collector(mesh_cache, materials, findings, depsgraph, space).collect()
+
+
+def moved_matrices(depsgraph: bpy.types.Depsgraph, layout: Layout) -> np.ndarray | None:
+    """Placements.matrices where objects have moved and nothing else; None where that is not all there is to read."""
+    matrices, persistent_ids = _read(depsgraph)
+    if not np.array_equal(persistent_ids, layout.persistent_ids):
+        return None
+    if not np.array_equal(matrices[layout.still], layout.matrices, equal_nan=True):
+        return None
+    moved = matrices[layout.rows, :3].astype(np.float64)
+    return moved if np.isfinite(moved).all() else None
+
+
+def _read(depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
+    """Of all instances: matrices, float32 [N, 4, 4], and persistent ids, int32 [N, 8]."""
+    instances = depsgraph.object_instances
+    count = len(instances)
+    matrices = np.empty((count, 4, 4), np.float32)
+    persistent_ids = np.empty((count, 8), np.int32)
+    instances.foreach_get("matrix_world", matrices.ravel())
+    instances.foreach_get("persistent_id", persistent_ids.ravel())
+    return matrices.transpose(0, 2, 1), persistent_ids  # Blender stores matrices by columns
 
 
 def object_ids(keys: Iterable[Key]) -> np.ndarray:
@@ -87,14 +126,17 @@ class _Collector:
         mesh_cache: MeshCache,
         materials: MaterialTable,
         findings: Findings,
-        view_layer: bpy.types.ViewLayer,
+        depsgraph: bpy.types.Depsgraph,
         space: bpy.types.SpaceView3D | None,
     ) -> None:
         self._mesh_cache = mesh_cache
         self._materials = materials
         self._findings = findings
-        self._override = view_layer.material_override
+        self._depsgraph = depsgraph
+        self._view_layer = depsgraph.view_layer
+        self._override = depsgraph.view_layer_eval.material_override
         self._space = space
+        self._visibilities: dict[str, RayVisibility] = {}
         self._rows: list[int] = []
         self._placements = Placements()
         self._meshes: dict[int, int | None] = {}  # address of Blender's mesh -> index, None without triangles
@@ -104,18 +146,13 @@ class _Collector:
         self._table_starts: dict[tuple[int, ...], int] = {}
         self._used_keys: dict[Key, int] = {}
 
-    def collect(self, depsgraph: bpy.types.Depsgraph) -> Placements:
-        instances = depsgraph.object_instances
-        count = len(instances)
-        matrices = np.empty((count, 4, 4), np.float32)
-        persistent_ids = np.empty((count, 8), np.int32)
-        instances.foreach_get("matrix_world", matrices.ravel())
-        instances.foreach_get("persistent_id", persistent_ids.ravel())
-        # Blender stores matrices by columns.
-        matrices = matrices.transpose(0, 2, 1).astype(np.float64)
+    def collect(self) -> Placements:
+        stored, persistent_ids = _read(self._depsgraph)
+        matrices = stored.astype(np.float64)
         finite = np.isfinite(matrices).all(axis=(1, 2))
         id_bytes = persistent_ids.tobytes()
-        for row, instance in enumerate(instances):
+        still = []
+        for row, instance in enumerate(self._depsgraph.object_instances):
             owner = instance.object
             kind = owner.type
             if kind not in {"MESH", "LIGHT"} or not instance.show_self:
@@ -124,6 +161,8 @@ class _Collector:
                 continue
             if self._space is not None and not self._is_in_view(instance):
                 continue
+            if kind == "LIGHT" or not finite[row]:
+                still.append(row)
             if not finite[row]:
                 self._findings.add(owner, "its transform is not finite; it is left out.")
             elif kind == "LIGHT":
@@ -134,15 +173,34 @@ class _Collector:
                 key: Key = (owner.name_full, "", b"")
                 if instance.is_instance:
                     key = (owner.name_full, instance.parent.name_full, id_bytes[32 * row : 32 * row + 32])
-                self._add_mesh(owner, row, key)
+                self._add_mesh(owner, row, key, self._visibility(instance))
         self._placements.matrices = matrices[self._rows, :3]
+        self._placements.layout = Layout(persistent_ids, np.array(self._rows, int), np.array(still, int), stored[still])
         return self._placements
 
     def _is_in_view(self, instance: bpy.types.DepsgraphObjectInstance) -> bool:
         """An instance is where its instancer is."""
         return (instance.parent if instance.is_instance else instance.object).visible_in_viewport_get(self._space)
 
-    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key) -> None:
+    def _visibility(self, instance: bpy.types.DepsgraphObjectInstance) -> RayVisibility:
+        """Rays see an instance that see both the object and its instancer."""
+        rays = self._visibility_of(instance.object)
+        return rays & self._visibility_of(instance.parent) if instance.is_instance else rays
+
+    def _visibility_of(self, obj: bpy.types.Object) -> RayVisibility:
+        name = obj.name_full
+        if name not in self._visibilities:
+            rays, original = ray_visibility(obj), obj.original
+            if original.holdout_get(view_layer=self._view_layer):
+                self._findings.add(obj, "holdouts are not supported yet; the object is an ordinary one.")
+            elif original.indirect_only_get(view_layer=self._view_layer):
+                rays &= ~RayVisibility.CAMERA
+            self._visibilities[name] = rays
+        return self._visibilities[name]
+
+    def _add_mesh(self, owner: bpy.types.Object, row: int, key: Key, visibility: RayVisibility) -> None:
+        if not visibility:
+            return
         data = owner.data
         geometry_key = (key[0], data.as_pointer())
         if geometry_key not in self._geometry:
@@ -159,14 +217,10 @@ class _Collector:
         self._placements.keys.append(key)
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
+        self._placements.visibility.append(int(visibility))
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""
-        visible = [getattr(owner, f"visible_{ray}") for ray in _RAYS]
-        if not any(visible):
-            return None
-        if not all(visible):
-            self._findings.add(owner, "ray visibility is not supported yet; every ray sees the object.")
         _find_unsupported(owner, self._findings)
         pointer = data.as_pointer()
         if pointer not in self._meshes:
@@ -205,8 +259,6 @@ def _slots(owner: bpy.types.Object, data: bpy.types.Mesh) -> list[bpy.types.Mate
 
 
 def _find_unsupported(owner: bpy.types.Object, findings: Findings) -> None:
-    if owner.is_holdout:
-        findings.add(owner, "holdouts are not supported yet; the object is an ordinary one.")
     if owner.is_shadow_catcher:
         findings.add(owner, "shadow catchers are not supported yet; the object is an ordinary one.")
     find_light_linking(owner, findings)

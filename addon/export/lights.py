@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from svgf.scene import Light, LightKind
+from svgf.scene import Light, LightKind, RayVisibility
 
 from .findings import Findings, find_light_linking
 from .nodes import constant, describe, has_nodes, source
 from .transforms import lengths, rigid
+from .visibility import ray_visibility
 
+_MOST_BOUNCES = 1024  # Cycles' "no limit"
 _KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT}
 _AREA_KINDS = {
     "SQUARE": LightKind.RECTANGLE,
@@ -24,10 +26,11 @@ def export_light(lamp: bpy.types.Object, matrix: np.ndarray, findings: Findings)
     """lamp: evaluated object. matrix: float64 [4, 4] light to world. None for what only guides Cycles (portals)."""
     light = lamp.data
     if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
+        findings.add(lamp, "a portal only guides Cycles' sampling; it is not needed and left out.")
         return None
     kind = _AREA_KINDS[light.shape] if light.type == "AREA" else _KINDS[light.type]
     size = _size(light, lengths(matrix))
-    _find_unsupported(lamp, size, findings)
+    _find_unsupported(lamp, findings)
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= light.temperature_color
@@ -45,6 +48,8 @@ def export_light(lamp: bpy.types.Object, matrix: np.ndarray, findings: Findings)
         spot_angle=light.spot_size if light.type == "SPOT" else Light.spot_angle,
         spot_blend=light.spot_blend if light.type == "SPOT" else Light.spot_blend,
         soft_falloff=light.type in {"POINT", "SPOT"} and light.use_soft_falloff,
+        spread=light.spread if light.type == "AREA" else Light.spread,
+        visibility=ray_visibility(lamp) | RayVisibility.SHADOW,
     )
 
 
@@ -85,16 +90,15 @@ def _node_emission(light: bpy.types.Light, findings: Findings) -> np.ndarray:
     return np.ones(3)
 
 
-def _find_unsupported(lamp: bpy.types.Object, size: tuple[float, float], findings: Findings) -> None:
+def _find_unsupported(lamp: bpy.types.Object, findings: Findings) -> None:
     light = lamp.data
     find_light_linking(lamp, findings)
-    if light.type == "AREA" and light.spread < np.pi - 1e-4:
-        findings.add(light, "the spread of area lamps is not supported yet; it shines to all of its front side.")
     if light.type == "SPOT" and np.ptp(lengths(np.array(lamp.matrix_world))) > 1e-4 * max(lamp.matrix_world.to_scale()):
         findings.add(lamp, "a spot lamp scaled unevenly is not supported yet; its cone is round.")
     if not light.use_shadow:
         findings.add(light, "a lamp without shadows is not supported yet; it casts them.")
-    if lamp.visible_camera:
-        findings.add(lamp, "a lamp that the camera sees is not supported yet; it is hidden from the camera.")
-    if not (lamp.visible_diffuse and lamp.visible_glossy and lamp.visible_transmission):
-        findings.add(lamp, "ray visibility of lamps is not supported yet; it shines on every ray.")
+    if getattr(lamp, "lightgroup", ""):
+        findings.add(lamp, "light groups are not supported yet; there is one picture of all lamps.")
+    cycles = getattr(light, "cycles", None)
+    if cycles is not None and cycles.max_bounces < _MOST_BOUNCES:
+        findings.add(light, "a limit on a lamp's own bounces is not supported yet; it lights every bounce.")

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
+from svgf.errors import Interrupted
 from svgf.scene import Mesh
 
 from .findings import Findings
@@ -70,18 +71,20 @@ class MeshCache:
 
     def __init__(self) -> None:
         self.reads = 0
-        self._changed: Set[str] | None = None
         self._uv_maps: tuple[str, ...] = ("",)
         self._last: dict[tuple[str, int], _Entry] = {}
         self._by_shape: dict[tuple[int, int, int], list[_Entry]] = {}
         self._now: dict[tuple[str, int], _Entry] = {}
         self._counts: dict[str, int] = {}
 
-    def start_frame(self, changed: Set[str] | None = None, uv_maps: tuple[str, ...] = ("",)) -> None:
+    def start_frame(
+        self, should_stop: Callable[[], bool], changed: Set[str] | None = None, uv_maps: tuple[str, ...] = ("",)
+    ) -> None:
         """changed: full names of the objects whose geometry may differ from the last frame's; None: any.
 
         uv_maps: names of the UV layers to read; "" is the active one.
         """
+        self._should_stop = should_stop
         self._changed = changed if uv_maps == self._uv_maps else None
         self._uv_maps = uv_maps
         self._last, self._now, self._counts = self._now, {}, {}
@@ -93,6 +96,7 @@ class MeshCache:
         """The triangles of an evaluated mesh object, to be asked once a frame for each mesh. None if it has none.
 
         The very Mesh of the last frame where nothing changed. With previous_positions where the vertices moved.
+        Raises Interrupted where the export should stop.
         """
         # An object owns several meshes where its geometry nodes make instances of meshes.
         name = owner.name_full
@@ -102,6 +106,8 @@ class MeshCache:
         if last is not None and self._changed is not None and name not in self._changed:
             self._now[key] = _at_rest(last)
             return self._now[key].mesh
+        if self._should_stop():
+            raise Interrupted("The export was cancelled.")
         data = owner.to_mesh()
         source = _read(data, self._uv_maps)
         self.reads += 1
@@ -225,10 +231,34 @@ def _triangle_corners(data: bpy.types.Mesh, source: _Source) -> np.ndarray:
     corner_count, face_count = len(source.corner_vertices), len(source.face_starts)
     if corner_count == 3 * face_count:
         return np.arange(corner_count, dtype=np.int32).reshape(-1, 3)
+    sizes = _face_sizes(source)
+    if sizes.max() <= 4:
+        return _split_quads(source, sizes)
     data.calc_loop_triangles()
     corners = np.empty((corner_count - 2 * face_count, 3), np.int32)
     data.loop_triangles.foreach_get("loops", corners.ravel())
     return corners
+
+
+def _split_quads(source: _Source, sizes: np.ndarray) -> np.ndarray:
+    """As Blender splits them, but read in a fraction of the time: along the diagonal from the first corner to the third,
+    unless the other two lie on the same side of it."""
+    quads = source.face_starts[sizes == 4]
+    first, second, third, fourth = (source.positions[source.corner_vertices[quads + corner]] for corner in range(4))
+    a, diagonal, b = second - first, third - first, fourth - first
+    # cross(a, diagonal) . cross(b, diagonal) > 0
+    flipped = _dots(a, b) * _dots(diagonal, diagonal) > _dots(a, diagonal) * _dots(b, diagonal)
+    corners = np.repeat(source.face_starts, sizes - 2)[:, None] + np.array([0, 1, 2], np.int32)
+    last = np.cumsum(sizes - 2)[sizes == 4] - 1
+    corners[last, 1:] += 1
+    corners[last[flipped] - 1, 2] += 1
+    corners[last[flipped], 0] += 1
+    return corners
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[N] of [N, 3] vectors."""
+    return np.einsum("ij,ij->i", a, b)
 
 
 def _triangle_faces(source: _Source) -> np.ndarray:

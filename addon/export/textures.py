@@ -84,20 +84,11 @@ class TextureCache:
     def __init__(self) -> None:
         self._images: dict[tuple, Image | None] = {}
         self._textures: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()
-        self._means: dict[tuple, np.ndarray | None] = {}
 
     def forget(self, names: Set[str]) -> None:
         """Images by full name, which are read again."""
-        for cache in (self._images, self._means):
-            for key in [key for key in cache if key[0] in names]:
-                del cache[key]
-
-    def mean_radiance(self, image: bpy.types.Image) -> np.ndarray | None:
-        """[3] mean over all directions of an equirectangular image; None where it is missing."""
-        key = _identity(image)
-        if key not in self._means:
-            self._means[key] = _mean_radiance(image)
-        return self._means[key]
+        for key in [key for key in self._images if key[0] in names]:
+            del self._images[key]
 
     def image(self, node: bpy.types.Node, find: Find, find_image: FindImage) -> Image | None:
         """What an Image or Environment Texture node reads; None where its image is missing."""
@@ -167,20 +158,6 @@ def _identity(image: bpy.types.Image) -> tuple:
         image.colorspace_settings.name,
         image.alpha_mode,
     )
-
-
-def _mean_radiance(image: bpy.types.Image) -> np.ndarray | None:
-    pixels = read_pixels(image)
-    if pixels is None:
-        return None
-    weights = np.sin((np.arange(pixels.shape[0]) + 0.5) * np.pi / pixels.shape[0])
-    color = pixels[..., :3]
-    if color.dtype == np.uint8:
-        color = color.astype(np.float32) / 255
-        if not _is_data(image):
-            color = srgb_to_linear(color)
-    rows = np.nan_to_num(color, posinf=0, neginf=0).mean(axis=1, dtype=np.float64)
-    return np.average(rows, axis=0, weights=weights)
 
 
 def _multiply_alpha(pixels: np.ndarray) -> None:

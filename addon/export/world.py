@@ -1,71 +1,161 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world's colour."""
+"""The world: a colour, or an image of what its node tree shows in each direction."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import bpy
 import numpy as np
-from svgf.scene import World
+from svgf.scene import Extension, Texture, World
 
+from .evaluation import images
+from .evaluation.expression import Expression, apply, constant, coordinate, evaluate, walk
 from .findings import Findings
-from .nodes import constant, describe, has_nodes, source
+from .node_values import DIRECTION, ValueReader
+from .nodes import Place, describe, find_input, has_nodes, trace
 from .textures import TextureCache
+from .visibility import ray_visibility
+
+# Width of the image of a tree without images, and of the largest; twice the height.
+_PLAIN_WIDTH, _LARGEST_WIDTH = 1024, 4096
+# Images are kept for as many worlds as a user may go back and forth between.
+_KEPT = 4
+
+_baked: OrderedDict[tuple[bytes, int], Texture] = OrderedDict()
 
 
-def export_world(world: bpy.types.World | None, textures: TextureCache, findings: Findings) -> World:
-    """No world, or one without a surface, is black."""
+def export_world(
+    world: bpy.types.World | None, textures: TextureCache, findings: Findings
+) -> tuple[World, Texture | None]:
+    """The world and its image, whose number the caller gives it. No world, or one without a surface, is black."""
     if world is None:
-        return World()
+        return World(), None
     _find_unsupported(world, findings)
+    visibility = World.visibility
+    if hasattr(world, "cycles_visibility"):
+        visibility = ray_visibility(world.cycles_visibility, "")
     if not has_nodes(world):
-        return _world(world.color)
+        return World(_color(world.color), visibility=visibility), None
     output = world.node_tree.get_output_node("CYCLES")
-    surface = output and source(output.inputs["Surface"])
-    if surface is None:
-        return World()
-    node = surface.node
-    if node.type != "BACKGROUND" or node.mute:
-        findings.add(world, f"{describe(node)} is not supported yet; the world is black instead.")
-        return World()
-    color, strength = constant(node.inputs["Color"]), constant(node.inputs["Strength"])
-    if strength is None:
-        driver = source(node.inputs["Strength"]).node
-        strength = node.inputs["Strength"].default_value
-        findings.add(world, f"{describe(driver)} is not supported yet; strength {strength:g} is used instead.")
-    if color is None:
-        color = _driven_color(world, node.inputs["Color"], textures, findings)
-    return _world(np.array(color) * strength)
+    start = output and find_input(output, "Surface")
+    surface = start and trace(start)
+    if surface is None or not surface.is_output:
+        return World(), None
+    reader = ValueReader(
+        textures, lambda text: findings.add(world, text), lambda image, text: findings.add(image, text), is_world=True
+    )
+    radiance = _radiance(surface, reader, world, findings)
+    if radiance.value is not None:
+        return World(_color(radiance.vector()), visibility=visibility), None
+    rotation, radiance = _without_rotation(radiance)
+    world_to_environment = tuple(rotation.ravel().tolist())
+    return World((1.0, 1.0, 1.0), 0, world_to_environment, visibility), _bake(world.name, radiance)
 
 
-def _world(radiance) -> World:
-    return World(tuple(np.maximum(np.array(radiance, np.float64), 0).tolist()))
+def _color(color) -> tuple[float, float, float]:
+    return tuple(np.maximum(np.array(color, np.float64)[:3], 0).tolist())
 
 
-def _driven_color(
-    world: bpy.types.World, socket: bpy.types.NodeSocket, textures: TextureCache, findings: Findings
-) -> np.ndarray:
-    """What comes nearest to a colour that differs with the direction: an environment image's mean."""
-    node = source(socket).node
-    if node.type == "TEX_ENVIRONMENT" and node.image is not None and not node.mute:
-        mean = textures.mean_radiance(node.image)
-        if mean is not None:
-            findings.add(
-                world,
-                f'the environment image "{node.image.name}" is not supported yet; its mean colour is used instead.',
-            )
-            return mean
-        findings.add(world, f'the environment image "{node.image.name}" cannot be read; the world is black instead.')
-        return np.zeros(3)
-    findings.add(world, f"{describe(node)} is not supported yet; the colour of its socket is used instead.")
-    return np.array(socket.default_value)[:3]
+def _radiance(shader: Place, reader: ValueReader, world: bpy.types.World, findings: Findings) -> Expression:
+    """[n, 3] of what arrives at a shader's output."""
+    node = shader.node
+
+    def part(place: Place) -> Expression:
+        found = trace(place)
+        return _radiance(found, reader, world, findings) if found.is_output else constant((0.0,) * 3)
+
+    if node.type in {"BACKGROUND", "EMISSION"}:
+        return apply(_scaled, reader.read(shader.input("Color")), reader.read(shader.input("Strength")))
+    if node.type == "ADD_SHADER":
+        return apply(_sum, part(shader.input(0)), part(shader.input(1)))
+    if node.type == "MIX_SHADER":
+        return apply(_mix, reader.read(shader.input(0)), part(shader.input(1)), part(shader.input(2)))
+    findings.add(world, f"{describe(node)} is not supported yet; it is black instead.")
+    return constant((0.0,) * 3)
+
+
+def _scaled(color: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    return color * strength[:, None]
+
+
+def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return first + second
+
+
+def _mix(factor: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    share = np.clip(factor, 0, 1)[:, None]
+    return first * (1 - share) + second * share
+
+
+def _without_rotation(radiance: Expression) -> tuple[np.ndarray, Expression]:
+    """[3, 3] and the radiance by directions that this matrix has turned: an image then keeps its texels, and turning it
+    makes no new one."""
+    identity = np.eye(3)
+    places = [member.inputs[0] for member in walk(radiance) if member.function is images.equirectangular]
+    users = {id(place) for place in places}
+    if len(users) != 1 or places[0].function is None:
+        return identity, radiance
+    turned = places[0]
+    # Nothing else may depend on the direction.
+    replaced = _replaced(radiance, turned, coordinate(_TURNED))
+    if DIRECTION in replaced.coordinates:
+        return identity, radiance
+    points = np.random.default_rng(0).normal(size=(8, 3)).astype(np.float32)
+    points[:3] = identity
+    images_of_points = evaluate(turned, {DIRECTION: points}).astype(np.float64)
+    matrix = images_of_points[:3].T
+    scale = np.cbrt(max(np.linalg.det(matrix), 0))
+    is_rotation = scale > 0 and np.allclose(matrix @ matrix.T, identity * scale**2, atol=1e-4 * scale**2)
+    if not is_rotation or not np.allclose(images_of_points, points @ matrix.T, atol=1e-4 * scale):
+        return identity, radiance
+    return matrix / scale, _replaced(radiance, turned, coordinate(DIRECTION))
+
+
+_TURNED = "turned direction"
+
+
+def _replaced(member: Expression, old: Expression, new: Expression, known: dict[int, Expression] | None = None):
+    """The same graph with another member in place of one."""
+    known = {} if known is None else known
+    if member is old:
+        return new
+    if member.value is not None or not member.inputs:
+        return member
+    if id(member) not in known:
+        inputs = (_replaced(part, old, new, known) for part in member.inputs)
+        known[id(member)] = apply(member.function, *inputs, **member.settings)
+    return known[id(member)]
+
+
+def _bake(name: str, radiance: Expression) -> Texture:
+    """An equirectangular image, float32, of the size of the images that it is made from."""
+    widths = [
+        member.settings["image"].pixels.shape[1] for member in walk(radiance) if "image" in member.settings
+    ]
+    width = min(max(widths, default=_PLAIN_WIDTH), _LARGEST_WIDTH)
+    width += width % 2
+    key = radiance.digest, width
+    if key in _baked:
+        _baked.move_to_end(key)
+        return _baked[key]
+    height = width // 2
+    elevation = ((np.arange(height) + 0.5) / height - 0.5) * np.pi
+    azimuth = (0.5 - (np.arange(width) + 0.5) / width) * 2 * np.pi
+    cosine = np.cos(elevation)[:, None]
+    direction = np.stack(
+        [cosine * np.cos(azimuth), cosine * np.sin(azimuth), np.repeat(np.sin(elevation)[:, None], width, axis=1)], -1
+    )
+    color = evaluate(radiance, {DIRECTION: direction.reshape(-1, 3).astype(np.float32)})
+    pixels = np.ones((height, width, 4), np.float32)
+    pixels[..., :3] = np.maximum(color, 0).reshape(height, width, 3)
+    _baked[key] = Texture(name, pixels, srgb=False, extension=Extension.REPEAT)
+    while len(_baked) > _KEPT:
+        _baked.popitem(last=False)
+    return _baked[key]
 
 
 def _find_unsupported(world: bpy.types.World, findings: Findings) -> None:
     output = has_nodes(world) and world.node_tree.get_output_node("CYCLES")
-    if output and source(output.inputs["Volume"]) is not None:
+    if output and trace(Place(output.inputs["Volume"])).is_output:
         findings.add(world, "volumes are not supported yet; the air is clear.")
-    visibility = getattr(world, "cycles_visibility", None)
-    if visibility is not None and not all(
-        getattr(visibility, ray, True) for ray in ("camera", "diffuse", "glossy", "transmission")
-    ):
-        findings.add(world, "ray visibility of the world is not supported yet; every ray sees it.")

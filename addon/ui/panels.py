@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import Field, fields
 
 import bpy
+from svgf.light_paths import LightPaths
 from svgf.settings import DenoiseSettings
 
 _ENGINE = "SVGF"
@@ -23,6 +24,18 @@ _BORROWED = {
     "EEVEE_WORLD_PT_surface",
     "VIEWLAYER_PT_override",
 }
+
+
+# Settings of denoisers that are for artists; the others are the papers' own.
+_EVERYDAY = {"levels", "history_frames", "firefly_limit"}
+# Settings of svgf that svgf+ reads too.
+_SHARED = {"sigma_depth", "depth_tolerance", "normal_tolerance"}
+_OWN_LIGHT_PATHS = ("bounces", None, *(item.name for item in fields(LightPaths)))
+_CYCLES_LIGHT_PATHS = (
+    *("max_bounces", None, "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces"),
+    *(None, "sample_clamp_direct", "sample_clamp_indirect"),
+    *(None, "blur_glossy", "caustics_reflective", "caustics_refractive"),
+)
 
 
 class EnginePanel:
@@ -48,34 +61,67 @@ class SVGF_PT_sampling(EnginePanel, bpy.types.Panel):
     bl_label = "Sampling"
 
     def draw(self, context: bpy.types.Context) -> None:
+        settings, column = context.scene.svgf, self.columns()
+        column.prop(settings, "device")
+        column.prop(settings, "quality")
+        column.prop(settings, "samples", text="Render Samples")
+        column.prop(settings, "viewport_samples", text="Viewport")
+        column.prop(settings, "viewport_budget")
+
+
+class SVGF_PT_sampling_advanced(EnginePanel, bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_parent_id = "SVGF_PT_sampling"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
         column = self.columns()
-        for name in ("device", "samples", "viewport_samples", "viewport_overlay", "seed", "pixel_filter"):
+        for name in ("seed", "pixel_filter"):
             column.prop(context.scene.svgf, name)
 
 
 class SVGF_PT_light_paths(EnginePanel, bpy.types.Panel):
-    """Cycles' own settings, so that both engines render alike."""
+    """Cycles' own settings, so that both engines render alike, unless the scene has some for svgf."""
 
     bl_label = "Light Paths"
     bl_options = {"DEFAULT_CLOSED"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and hasattr(context.scene, "cycles")
+    def draw(self, context: bpy.types.Context) -> None:
+        settings, column = context.scene.svgf, self.columns()
+        column.prop(settings, "use_own_light_paths")
+        if settings.use_own_light_paths:
+            _list_properties(column, settings.light_paths, _OWN_LIGHT_PATHS)
+        elif hasattr(context.scene, "cycles"):
+            _list_properties(column, context.scene.cycles, _CYCLES_LIGHT_PATHS)
+
+
+class SVGF_PT_film(EnginePanel, bpy.types.Panel):
+    bl_label = "Film"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.columns()
-        column.prop(context.scene.cycles, "max_bounces", text="Bounces")
-        column.prop(context.scene.cycles, "film_exposure", text="Exposure")
+        if hasattr(context.scene, "cycles"):
+            column.prop(context.scene.cycles, "film_exposure", text="Exposure")
+        column.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
 class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
     bl_label = "Denoiser"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        for name in ("method", "signals"):
-            column.prop(context.scene.svgf, name)
+        settings, column = context.scene.svgf, self.columns()
+        column.prop(settings, "method")
+        if settings.method == "none":
+            return
+        column.prop(settings, "signals")
+        for item in fields(DenoiseSettings):
+            if item.name in _EVERYDAY and _is_read_by(settings.method, item):
+                column.prop(settings.denoise, item.name)
+            if item.name == "history_frames" and _is_read_by(settings.method, item):
+                render = context.scene.render
+                seconds = settings.denoise.history_frames * render.fps_base / render.fps
+                column.label(text=f"{seconds:.2f} s of history in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
@@ -88,24 +134,66 @@ class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.scene.svgf.method != "none"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        wavelets = context.scene.svgf.method == "eaw"
+        settings, column = context.scene.svgf, self.columns()
         for item in fields(DenoiseSettings):
-            if item.name == "levels" or item.name.startswith("eaw_") == wavelets:
-                column.prop(context.scene.svgf.denoise, item.name)
+            if item.name not in _EVERYDAY and _is_read_by(settings.method, item):
+                symbol = item.metadata["symbol"]
+                name = settings.denoise.bl_rna.properties[item.name].name
+                column.prop(settings.denoise, item.name, text=f"{name} ({symbol})" if symbol else name)
 
 
-class SVGF_PT_passes(EnginePanel, bpy.types.Panel):
-    bl_label = "Passes"
-    bl_context = "view_layer"
+class SVGF_PT_viewport(EnginePanel, bpy.types.Panel):
+    bl_label = "Viewport Shows"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.columns()
-        for name in ("use_pass_z", "use_pass_normal", "use_pass_vector", "use_pass_object_index"):
-            column.prop(context.view_layer, name)
+        draw_overlay_menu(self.columns(), context)
 
 
-_PANELS = (SVGF_PT_sampling, SVGF_PT_light_paths, SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_passes)
+class SVGF_PT_shading_overlay(bpy.types.Panel):
+    """The same in the 3D view's own shading menu."""
+
+    bl_label = "SVGF Shows"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "HEADER"
+    bl_parent_id = "VIEW3D_PT_shading"
+    COMPAT_ENGINES = {_ENGINE}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.engine in cls.COMPAT_ENGINES and context.space_data.shading.type == "RENDERED"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        draw_overlay_menu(self.layout.column(), context)
+
+
+def draw_overlay_menu(column: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    settings = context.scene.svgf
+    column.prop(settings, "viewport_overlay", text="")
+    if settings.viewport_overlay == "split":
+        column.prop(settings, "viewport_split")
+
+
+def _list_properties(column: bpy.types.UILayout, owner: bpy.types.bpy_struct, names: tuple[str | None, ...]) -> None:
+    """None: a gap."""
+    for name in names:
+        column.separator() if name is None else column.prop(owner, name)
+
+
+def _is_read_by(method: str, item: Field) -> bool:
+    """Whether a method of denoising reads one of the settings."""
+    if item.name == "levels":
+        return True
+    if item.name.startswith("eaw_"):
+        return method == "eaw"
+    if item.metadata["meaning"].startswith("svgf+:"):
+        return method == "svgf+"
+    return method == "svgf" or (method == "svgf+" and item.name in _SHARED)
+
+
+_PANELS = (
+    *(SVGF_PT_sampling, SVGF_PT_sampling_advanced, SVGF_PT_light_paths, SVGF_PT_film),
+    *(SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_viewport, SVGF_PT_shading_overlay),
+)
 
 
 def _blender_panels() -> Iterator[type[bpy.types.Panel]]:

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 
 import bpy
-from svgf.effects import Effects, find_effects
+from svgf.effects import Effects, find_causes
 
 from ..viewport.session import ViewSession
 from ..viewport.views import sessions_of
@@ -27,6 +28,11 @@ _EFFECTS = {
     Effects.OBJECT_MOTION: "Object motion",
     Effects.DEFORMATION: "Deformation",
 }
+_CAUSES_SHOWN = 4
+
+
+def effect_name(effect: Effects) -> str:
+    return _EFFECTS.get(effect) or effect.name.replace("_", " ").capitalize()
 
 
 class _StatisticsPanel(EnginePanel):
@@ -57,24 +63,55 @@ class SVGF_PT_cost(_StatisticsPanel, bpy.types.Panel):
             _row(column, stage, f"{milliseconds:.1f} ms")
         _row(column, "all in all", f"{result.milliseconds:.1f} ms")
         column.separator()
-        _row(column, "Resolution", f"{frame.width} x {frame.height}")
+        divided = f" (1/{session.divisor})" if session.divisor > 1 else ""
+        _row(column, "Resolution", f"{frame.width} x {frame.height}{divided}")
         _row(column, "Samples", f"{result.samples} of {session.sample_limit}")
-        _row(column, "Frames of history", f"{frame.history_length.max():.0f}")
+        _row(column, "Frames of history", f"{result.history:.0f}")
+        _row(column, "Estimated error", "unknown" if math.isnan(result.noise) else f"{result.noise:.1%}")
         _row(column, "Device", result.device)
         _write(column, context, f"History restarted {result.frames} frames ago: {result.reset}", "FILE_REFRESH")
 
 
 class SVGF_PT_effects(_StatisticsPanel, bpy.types.Panel):
+    """What the scene calls for and why; nothing else is simulated."""
+
     bl_label = "Effects in This Scene"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        scene = self.session(context).result.scene
+        result = self.session(context).result
         column = self.layout.column(align=True)
-        if scene is not None:
-            effects = find_effects(scene)
-            for effect, name in _EFFECTS.items():
-                column.label(text=name, icon="CHECKBOX_HLT" if effect in effects else "CHECKBOX_DEHLT")
+        if result.scene is None:
+            return
+        column.operator("svgf.measure_effects", icon="TIME")
+        column.separator()
+        causes = find_causes(result.scene)
+        for effect, names in causes.items():
+            row = column.row()
+            row.label(text=effect_name(effect), icon="CHECKBOX_HLT")
+            cell = row.row()
+            cell.alignment = "RIGHT"
+            cell.label(text=f"{result.costs[effect]:+.1f} ms" if effect in result.costs else "")
+            more = f" and {len(names) - _CAUSES_SHOWN} more" if len(names) > _CAUSES_SHOWN else ""
+            _write(column, context, ", ".join(names[:_CAUSES_SHOWN]) + more, "BLANK1")
+        left_out = [effect_name(effect) for effect in Effects if effect not in causes]
+        column.separator()
+        _write(column, context, f"Not here, and not paid for: {', '.join(left_out)}", "CHECKBOX_DEHLT")
+
+
+class SVGF_OT_measure_effects(bpy.types.Operator):
+    """Render a few frames of this view with and without each effect, to tell what it costs"""
+
+    bl_idname = "svgf.measure_effects"
+    bl_label = "Measure What Each Costs"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(sessions_of(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        sessions_of(context.scene)[-1].measure_effects()
+        return {"FINISHED"}
 
 
 class SVGF_PT_warnings(_StatisticsPanel, bpy.types.Panel):
@@ -82,12 +119,17 @@ class SVGF_PT_warnings(_StatisticsPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and bool(cls.session(context).warnings)
+        session = cls.session(context) if super().poll(context) else None
+        return session is not None and bool(session.findings or session.result.note)
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.layout.column(align=True)
-        for warning in self.session(context).warnings:
-            _write(column, context, warning, "ERROR")
+        session, column = self.session(context), self.layout.column()
+        if session.result.note:
+            _write(column.column(align=True), context, session.result.note, "ERROR")
+        for number, finding in enumerate(session.findings):
+            row = column.row()
+            _write(row.column(align=True), context, finding.sentence, "ERROR")
+            row.operator("svgf.select_culprit", text="", icon="RESTRICT_SELECT_OFF").finding = number
 
 
 def _row(column: bpy.types.UILayout, name: str, value: str) -> None:
@@ -105,14 +147,14 @@ def _write(column: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
         column.label(text=line, icon="BLANK1" if number else icon)
 
 
-_PANELS = (SVGF_PT_cost, SVGF_PT_effects, SVGF_PT_warnings)
+_CLASSES = (SVGF_PT_cost, SVGF_OT_measure_effects, SVGF_PT_effects, SVGF_PT_warnings)
 
 
 def register() -> None:
-    for panel in _PANELS:
-        bpy.utils.register_class(panel)
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
 
 
 def unregister() -> None:
-    for panel in reversed(_PANELS):
-        bpy.utils.unregister_class(panel)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

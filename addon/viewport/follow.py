@@ -51,6 +51,10 @@ def restart_reason(scene: Scene, last: Scene | None) -> str:
         return "the materials changed"
     if scene.defaults.bounces != last.defaults.bounces:
         return "the number of bounces changed"
+    if scene.defaults.light_paths != last.defaults.light_paths:
+        return "the light paths changed"
+    if scene.defaults.transparent_film != last.defaults.transparent_film:
+        return "the film changed"
     return ""
 
 

@@ -4,13 +4,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from svgf.frame import Frame
 
-_LARGEST_HALF = 65504.0  # beyond it a half-float texture holds infinity, which draws black
+_LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
+_ERROR_RANGE_LOG10 = 2.0  # of the standard deviation, below radiance 1
+
+# Why a pixel has no history: colour in the overlay, and what it means.
+RESET_COLORS = {
+    "restarted": ((0.15, 0.35, 0.9), "All history restarted with this frame"),
+    "entered": ((0.1, 0.7, 0.3), "It was outside of the picture in the frame before"),
+    "revealed": ((0.9, 0.2, 0.1), "It was hidden, or was another surface"),
+    "kept": ((0.18, 0.18, 0.18), "Its history goes on"),
+}
+_BAD_COLOR = (1.0, 0.0, 0.6)
+
+
+@dataclass(frozen=True)
+class Look:
+    """overlay: a key of OVERLAYS. split: where noisy ends and denoised begins, share of the width."""
+
+    overlay: str = "result"
+    split: float = 0.5
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """number: in Blender's files. is_data: shown as it is, without a view transform. image: [H, W] or [H, W, 3]."""
+
+    label: str
+    description: str
+    number: int
+    is_data: bool
+    image: Callable[[Frame], np.ndarray]
 
 
 def _depth(frame: Frame) -> np.ndarray:
@@ -32,41 +62,128 @@ def _motion(frame: Frame) -> np.ndarray:
             0.5 - frame.motion[..., 1] / (2 * _MOTION_RANGE_PX),
             np.full(frame.depth.shape, 0.5, np.float32),
         ]
-    ).clip(0, 1)
+    )
 
 
-# Name -> (label, description, number in Blender's files, image [H, W] or [H, W, 3] of a frame).
-OVERLAYS: dict[str, tuple[str, str, int, Callable[[Frame], np.ndarray]]] = {
-    "result": ("Result", "The denoised picture", 0, lambda frame: frame.color),
-    "noisy": ("Noisy Input", "What the path tracer saw in the newest frame", 1, lambda frame: frame.noisy),
-    "albedo": ("Albedo", "Colour of the surfaces, which is not filtered", 2, lambda frame: frame.albedo),
-    "normal": (
-        "Normal",
-        "World space normals, from -1 to 1",
-        3,
-        lambda frame: np.where(frame.object_id[..., None] > 0, frame.normal * 0.5 + 0.5, 0),
+def _noise(frame: Frame) -> np.ndarray:
+    """Decades of the standard deviation: 0.01 is black, 1 and more are white."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return 1.0 + 0.5 * np.log10(np.maximum(frame.variance, 0)) / _ERROR_RANGE_LOG10
+
+
+def _reset_reasons(frame: Frame) -> np.ndarray:
+    image = np.zeros((frame.height, frame.width, 3), np.float32)
+    surface = frame.object_id > 0
+    image[surface] = RESET_COLORS["kept"][0]
+    if frame.reset:
+        image[surface] = RESET_COLORS["restarted"][0]
+        return image
+    rows, columns = np.indices(surface.shape)
+    before_x, before_y = columns + frame.motion[..., 0], rows + frame.motion[..., 1]
+    inside = (before_x > -0.5) & (before_x < frame.width - 0.5) & (before_y > -0.5) & (before_y < frame.height - 0.5)
+    new = surface & (frame.history_length <= 1)
+    image[new & inside] = RESET_COLORS["revealed"][0]
+    image[new & ~inside] = RESET_COLORS["entered"][0]
+    return image
+
+
+def _bad_values(frame: Frame) -> np.ndarray:
+    """What the path tracer saw, dimmed, with values that no picture may hold in a colour of their own."""
+    bad = find_bad_values(frame)
+    grey = np.nan_to_num(frame.noisy, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1).mean(axis=-1) * 0.3
+    return np.where(bad[..., None], np.float32(_BAD_COLOR), grey[..., None])
+
+
+def find_bad_values(frame: Frame) -> np.ndarray:
+    """bool [H, W]: pixels with an input that is not finite, or with light less than none; the denoiser repairs them."""
+    # A sum is finite only where all of its terms are.
+    total = frame.depth + sum(image.sum(axis=-1) for image in (frame.noisy, frame.albedo, frame.normal, frame.motion))
+    return ~np.isfinite(total) | (frame.noisy.min(axis=-1) < 0)
+
+
+def _history(frame: Frame) -> np.ndarray:
+    return np.log2(np.maximum(frame.history_length, 1)) / _HISTORY_RANGE_LOG2
+
+
+def _normal(frame: Frame) -> np.ndarray:
+    return np.where(frame.object_id[..., None] > 0, frame.normal * 0.5 + 0.5, 0)
+
+
+OVERLAYS = {
+    "result": Overlay("Result", "The denoised picture", 0, False, lambda frame: frame.color),
+    "split": Overlay(
+        "Split Screen",
+        "Noisy input on the left, result on the right",
+        8,
+        False,
+        lambda frame: frame.color,
     ),
-    "depth": ("Depth", "Nearest surface white, farthest one dark", 4, _depth),
-    "motion": ("Motion", "Where surfaces come from, within 16 pixels: red right, green up, grey still", 5, _motion),
-    "history_length": (
+    "noisy": Overlay(
+        "Noisy Input",
+        "What the path tracer saw in the newest frame",
+        1,
+        False,
+        lambda frame: frame.noisy,
+    ),
+    "albedo": Overlay("Albedo", "Colour of the surfaces, which is not filtered", 2, False, lambda frame: frame.albedo),
+    "normal": Overlay("Normal", "World space normals, from -1 to 1", 3, True, _normal),
+    "depth": Overlay("Depth", "Nearest surface white, farthest one dark", 4, True, _depth),
+    "motion": Overlay(
+        "Motion",
+        "Where surfaces come from, within 16 pixels: red right, green up, grey still",
+        5,
+        True,
+        _motion,
+    ),
+    "history_length": Overlay(
         "History Length",
         "Frames in the temporal mean: 1 is black, 32 and more are white",
         6,
-        lambda frame: (np.log2(np.maximum(frame.history_length, 1)) / _HISTORY_RANGE_LOG2).clip(0, 1),
+        True,
+        _history,
     ),
-    "variance": (
+    "variance": Overlay(
         "Noise Left",
-        "Standard deviation that the filter estimates for its result",
+        "Standard deviation that the filter estimates for its result: black is 0.01 and less, white 1 and more",
         7,
-        lambda frame: np.sqrt(np.maximum(frame.variance, 0)),
+        True,
+        _noise,
+    ),
+    "reset_reason": Overlay(
+        "Reset Reason",
+        "Why pixels have no history: blue restarted, green entered the picture, red was revealed",
+        9,
+        True,
+        _reset_reasons,
+    ),
+    "bad_values": Overlay(
+        "NaN Map",
+        "Pixels whose input was not a number, infinite or negative, and was repaired",
+        10,
+        True,
+        _bad_values,
     ),
 }
 
 
-def paint(frame: Frame, overlay: str) -> np.ndarray:
-    """float32 [H, W, 4], bottom row first, opaque and finite: what a half-float texture takes."""
-    image = OVERLAYS[overlay][-1](frame)
-    pixels = np.ones((frame.height, frame.width, 4), np.float32)
-    pixels[..., :3] = (image if image.ndim == 3 else image[..., None])[::-1]
-    np.nan_to_num(pixels, copy=False, nan=0.0)
-    return pixels.clip(0, _LARGEST_HALF, out=pixels)
+def paint(frame: Frame, look: Look) -> np.ndarray:
+    """float32 [H, W, 4], bottom row first, alpha premultiplied, finite: what a half-float texture takes."""
+    overlay = OVERLAYS[look.overlay]
+    image = overlay.image(frame)
+    image = image if image.ndim == 3 else image[..., None]
+    pixels = np.empty((frame.height, frame.width, 4), np.float32)
+    pixels[..., 3] = 1
+    pixels[..., :3] = _limited(image, 1 if overlay.is_data else _LARGEST_HALF)[::-1]
+    if look.overlay == "split":
+        column = round(look.split * frame.width)
+        pixels[:, :column, :3] = _limited(frame.noisy[::-1, :column], _LARGEST_HALF)
+        pixels[:, max(column - 1, 0) : column] = 1
+    if look.overlay in ("result", "split") and frame.alpha is not None:
+        pixels[..., 3] = _limited(frame.alpha, 1)[::-1]
+    return pixels
+
+
+def _limited(image: np.ndarray, largest: float) -> np.ndarray:
+    """In [0, largest], 0 for what is no number: fmax and fmin take the other one."""
+    limited = np.fmax(image, np.float32(0))
+    return np.fmin(limited, np.float32(largest), out=limited)

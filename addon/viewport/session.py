@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from dataclasses import replace
 
@@ -15,7 +16,10 @@ from svgf.settings import Settings
 from ..export import Exporter
 from ..export.changes import find_changes
 from ..export.exporter import ExportCounters
+from ..export.findings import Finding
 from .camera import View, same_camera
+from .picture import Look
+from .resolution import Resolution
 from .worker import Request, Result, Worker
 
 # Until the first draw tells the view's camera.
@@ -34,10 +38,11 @@ class ViewSession:
         self.drawn = -1
         self._worker = worker or Worker()
         self._exporter = Exporter()
+        self._resolution = Resolution()
         self._scene: Scene | None = None
+        self._shown: Scene | None = None  # as of the last request, in full size
         self._request: Request | None = None
         self._error = ""
-        self._note = ""
 
     @property
     def result(self) -> Result:
@@ -51,7 +56,7 @@ class ViewSession:
     @property
     def busy(self) -> bool:
         """Whether a new picture will come by itself."""
-        return self._worker.busy
+        return self._worker.busy or self._resolution.divisor > 1
 
     @property
     def alive(self) -> bool:
@@ -60,7 +65,9 @@ class ViewSession:
 
     @property
     def has_news(self) -> bool:
-        return self.result.number != self.drawn
+        """Whether a draw would show, or ask for, something new."""
+        refine = self._resolution.divisor > 1 and self._resolution.is_still(time.monotonic())
+        return refine or self.result.number != self.drawn
 
     @property
     def error(self) -> str:
@@ -68,14 +75,18 @@ class ViewSession:
         return self._error or self.result.error
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence for each thing that is not as in Blender."""
-        notes = tuple(note for note in (self._note, self.result.note) if note)
-        return notes + (self._scene.warnings if self._scene else ())
+    def findings(self) -> tuple[Finding, ...]:
+        """What is not as in Blender, of the newest export."""
+        return self._exporter.findings if self._scene else ()
 
     @property
     def sample_limit(self) -> int:
         return self._request.sample_limit if self._request else 0
+
+    @property
+    def divisor(self) -> int:
+        """By how much the frame budget has divided the picture's sides."""
+        return self._resolution.divisor
 
     def sync(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, whole: bool) -> None:
         """Exports what the evaluated depsgraph says has changed. whole: it cannot be trusted to name everything."""
@@ -94,20 +105,46 @@ class ViewSession:
             self._scene = None  # the next one starts from scratch
 
     def show(
-        self, view: View, defaults: RenderDefaults, settings: Settings, device: str, sample_limit: int, overlay: str
+        self,
+        view: View,
+        defaults: RenderDefaults,
+        settings: Settings,
+        device: str,
+        sample_limit: int,
+        look: Look,
+        budget: float,
     ) -> None:
-        """Asks the worker for a picture, unless it is at work on that very one. defaults: with the picture's size."""
+        """Asks the worker for a picture, unless it is at work on that very one.
+
+        defaults: with the picture's full size. budget: milliseconds for a frame while something changes; 0: any time.
+        """
         if self._scene is None:
             return
-        self._note = view.note
         last = self._request
         scene = replace(self._scene, camera=view.camera, defaults=defaults)
+        changed = self._shown is None or not _same_content(scene, self._shown)
+        self._shown = scene if changed else self._shown
+        scene = self._reduced(scene, budget, changed)
         if last is not None and _same_content(scene, last.scene):
             scene = last.scene
-        request = Request(scene, settings, device, sample_limit, overlay)
+        request = Request(scene, settings, device, sample_limit, look, view.part)
         if last is None or not _same_request(request, last):
             self._request = request
             self._worker.submit(request)
+
+    def _reduced(self, scene: Scene, budget: float, changed: bool) -> Scene:
+        """The scene with the size that the budget allows."""
+        frame, defaults = self.result.frame, scene.defaults
+        if frame is not None:
+            milliseconds = self.result.milliseconds - frame.timings.get("update", 0.0)
+            self._resolution.measure(milliseconds, frame.width * frame.height)
+        divisor = self._resolution.choose(defaults.width * defaults.height, budget, time.monotonic(), changed)
+        size = {name: -(-getattr(defaults, name) // divisor) for name in ("width", "height")}
+        return replace(scene, defaults=replace(defaults, **size))
+
+    def measure_effects(self) -> None:
+        """Asks the worker what each effect costs; a later result tells."""
+        self._worker.measure_effects()
 
     def status(self) -> str:
         """One line for the corner of the view."""
@@ -117,7 +154,9 @@ class ViewSession:
         if result.frame is None:
             return "Rendering the first frame"
         parts = [f"Sample {result.samples}/{self.sample_limit}", f"{result.milliseconds:.0f} ms"]
-        return " | ".join([*parts, *(note for note in (self._note, result.note) if note)])
+        if self.divisor > 1:
+            parts.append(f"1/{self.divisor} resolution")
+        return " | ".join([*parts, *([result.note] if result.note else [])])
 
     def stop(self) -> None:
         """The worker ends soon."""
@@ -152,5 +191,5 @@ def _same_request(a: Request, b: Request) -> bool:
     return (
         a.scene is b.scene
         and a.settings == b.settings
-        and (a.device, a.sample_limit, a.overlay) == (b.device, b.sample_limit, b.overlay)
+        and (a.device, a.sample_limit, a.look, a.part) == (b.device, b.sample_limit, b.look, b.part)
     )

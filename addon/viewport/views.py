@@ -8,14 +8,19 @@ import math
 import time
 import traceback
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 from svgf.errors import Error
+from svgf.scene import Aperture
 
+from ..export.camera import export_aperture
 from ..export.exporter import render_defaults
-from .camera import View, view_camera
+from .camera import View, border_in_frame, cut_out, view_camera
 from .draw import PictureTexture
+from .picture import OVERLAYS, Look
 from .session import ViewSession
+from .worker import WHOLE, Part
 
 Key = tuple[int, str, int]  # scene, view layer, address of the view
 
@@ -27,6 +32,7 @@ _PANEL_SECONDS = 0.25  # between redraws of the panels that show what a frame co
 _sessions: dict[Key, tuple[ViewSession, PictureTexture]] = {}
 _stopped: list[ViewSession] = []  # their threads may still be at work
 _panels = {"numbers": (), "time": 0.0}  # which results they show, and since when
+_draw_handlers: list[object] = []
 
 
 def update(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
@@ -44,14 +50,27 @@ def draw(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: 
         _show(session, context, depsgraph, engine)
         result = session.result
         session.drawn = result.number
-        if result.picture is not None:
-            texture.draw(engine, depsgraph.scene, result.picture, context.region)
+        if result.picture is not None and not OVERLAYS[result.request.look.overlay].is_data:
+            texture.draw_light(engine, depsgraph.scene, result.picture, result.request.part, context.region)
         engine.update_stats("", session.status())
     except Error as error:
         engine.update_stats("", str(error))
     except Exception as error:  # An exception here would come with every redraw.
         traceback.print_exc()
         engine.update_stats("", f"Drawing failed: {error!r}. The traceback is in the console.")
+
+
+def _draw_data() -> None:
+    """Pictures of data go over the view, because Blender sends what an engine draws through the view transform."""
+    context = bpy.context
+    if context.engine != _ENGINE or context.space_data.shading.type != "RENDERED":
+        return
+    session, texture = _sessions.get(_key(context.scene, context.view_layer, context.region_data), (None, None))
+    if session is None:
+        return
+    result = session.result
+    if result.picture is not None and OVERLAYS[result.request.look.overlay].is_data:
+        texture.draw_data(result.picture, result.request.part)
 
 
 def sessions_of(scene: bpy.types.Scene) -> list[ViewSession]:
@@ -71,13 +90,16 @@ def close_all(*_arguments) -> None:
 
 
 def _find(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> tuple[ViewSession, PictureTexture]:
-    scene = depsgraph.scene.original
-    key = (scene.session_uid, depsgraph.view_layer.name, context.region_data.as_pointer())
+    key = _key(depsgraph.scene.original, depsgraph.view_layer, context.region_data)
     if key not in _sessions:
         _sessions[key] = ViewSession(), PictureTexture()
     if not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, persistent=True)
     return _sessions[key]
+
+
+def _key(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, region_view: bpy.types.RegionView3D) -> Key:
+    return scene.session_uid, view_layer.name, region_view.as_pointer()
 
 
 def _sync(session: ViewSession, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph) -> None:
@@ -93,25 +115,38 @@ def _show(
 ) -> None:
     scene, region = depsgraph.scene_eval, context.region
     pixel_size = int(engine.get_preview_pixel_size(scene))
-    size = math.ceil(region.width / pixel_size), math.ceil(region.height / pixel_size)
-    properties = scene.svgf
+    view = _view(context, scene, (math.ceil(region.width / pixel_size), math.ceil(region.height / pixel_size)))
+    defaults, properties = render_defaults(scene, view.size), scene.svgf
     session.show(
-        _view(context),
-        render_defaults(scene, size),
+        view,
+        defaults,
         properties.to_settings(samples=1),
         properties.device,
         properties.viewport_samples,
-        properties.viewport_overlay,
+        Look(properties.viewport_overlay, properties.viewport_split),
+        properties.viewport_budget,
     )
 
 
-def _view(context: bpy.types.Context) -> View:
+def _view(context: bpy.types.Context, scene: bpy.types.Scene, size: tuple[int, int]) -> View:
+    """size: of the whole view, in pixels."""
     space, region_view = context.space_data, context.region_data
-    clip = space.clip_start, space.clip_end
-    camera = space.camera
-    if region_view.view_perspective == "CAMERA" and camera is not None and camera.type == "CAMERA":
-        clip = camera.data.clip_start, camera.data.clip_end
-    return view_camera(region_view.view_matrix, region_view.window_matrix, clip)
+    clip, border, aperture = (space.clip_start, space.clip_end), WHOLE, Aperture()
+    if region_view.view_perspective == "CAMERA" and space.camera is not None and space.camera.type == "CAMERA":
+        data, render = space.camera.data, scene.render
+        clip, aperture = (data.clip_start, data.clip_end), export_aperture(space.camera)
+        if render.use_border:
+            border = border_in_frame(region_view.window_matrix, data.view_frame(scene=scene), _border(render))
+    elif space.use_render_border:
+        border = _border(space)
+    camera = view_camera(region_view.view_matrix, region_view.window_matrix, clip)
+    return cut_out(replace(camera, aperture=aperture), size, border)
+
+
+def _border(owner: bpy.types.RenderSettings | bpy.types.SpaceView3D) -> Part:
+    sides = ("border_min_x", "border_min_y", "border_max_x", "border_max_y")
+    prefix = "" if isinstance(owner, bpy.types.RenderSettings) else "render_"
+    return tuple(getattr(owner, prefix + side) for side in sides)
 
 
 def _tick() -> float | None:
@@ -180,12 +215,15 @@ def _handlers() -> Iterator[tuple[list, object]]:
 def register() -> None:
     for handlers, function in _handlers():
         handlers.append(function)
+    _draw_handlers.append(bpy.types.SpaceView3D.draw_handler_add(_draw_data, (), "WINDOW", "POST_VIEW"))
     # A Blender that quits without disabling the add-on must not end under a thread that renders.
     atexit.register(close_all)
 
 
 def unregister() -> None:
     atexit.unregister(close_all)
+    while _draw_handlers:
+        bpy.types.SpaceView3D.draw_handler_remove(_draw_handlers.pop(), "WINDOW")
     for handlers, function in _handlers():
         handlers.remove(function)
     if bpy.app.timers.is_registered(_tick):

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from svgf.devices import Device, open_device
+from svgf.effects import Effects
 from svgf.errors import DeviceError, Error, Interrupted
 from svgf.frame import Frame
 from svgf.renderer import Renderer
@@ -18,9 +20,15 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import paint
+from .picture import Look, paint
 
 _JOIN_SECONDS = 0.02
+_RUNS = 4  # launches with and without each effect that is measured
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+Part = tuple[float, float, float, float]
+WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,26 +36,32 @@ class Request:
     """What a view wants to see.
 
     scene: as exported, with the view's camera and size; the same object means that nothing changed. sample_limit:
-    frames of a scene that stands still, after which the worker sleeps. overlay: a key of picture.OVERLAYS.
+    frames of a scene that stands still, after which the worker sleeps. look: what is shown of them. part: left, bottom,
+    right and top of the picture in the view, which is 1 wide and high.
     """
 
     scene: Scene
     settings: Settings
     device: str
     sample_limit: int
-    overlay: str = "result"
+    look: Look = Look()
+    part: Part = WHOLE
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
     """What the worker has come to. A new one replaces it; it never changes.
 
-    number: counts pictures and messages. picture: as paint makes it. samples: frames since the view came to rest.
-    reset: why history was last restarted. frames: frames since then. milliseconds: the newest frame, all in all.
-    device: the hardware. error: what stops the picture from being renewed. note: what the user should know besides.
+    number: counts pictures and messages. request: the one that picture answers, as paint makes it. samples: frames
+    since the view came to rest. reset: why history was last restarted. frames: frames since then. milliseconds: the
+    newest frame, all in all. noise: standard deviation of the picture's luminance as a share of its mean, NaN where
+    unknown. history: the longest of a pixel, in frames. costs: milliseconds that each effect adds to a frame, if they
+    were asked for. device: the hardware. error: what stops the picture from being renewed. note: what the user should
+    know besides.
     """
 
     number: int = 0
+    request: Request | None = None
     scene: Scene | None = None
     frame: Frame | None = None
     picture: np.ndarray | None = None
@@ -55,6 +69,9 @@ class Result:
     reset: str = ""
     frames: int = 0
     milliseconds: float = 0.0
+    noise: float = math.nan
+    history: float = 0.0
+    costs: Mapping[Effects, float] = field(default_factory=dict)
     device: str = ""
     error: str = ""
     note: str = ""
@@ -68,6 +85,8 @@ class Worker:
         self._open_device = open_device
         self._condition = threading.Condition()
         self._request: Request | None = None
+        self._rendering: Request | None = None  # at this moment
+        self._measuring = False  # asked to, and not done yet
         self._stopping = False
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
         self._thread = threading.Thread(target=self._run, name="svgf view", daemon=True)
@@ -77,16 +96,25 @@ class Worker:
         self._lost: set[str] = set()  # devices that failed
         self._done: Request | None = None  # the last request that was rendered
         self._failed: Request | None = None  # not tried again
-        self._mean: np.ndarray | None = None
+        self._mean: np.ndarray | None = None  # [H, W, 3] colour of all frames since the view came to rest
+        self._squares: np.ndarray | None = None  # [H, W] their luminance's sum of squared distances from it
 
     def submit(self, request: Request) -> None:
         """Takes the place of the last request. A frame that is being rendered is finished first, for the sake of its
-        history.
+        history, unless that is lost with its size.
         """
         with self._condition:
             self._request = request
+            if self._rendering is not None and _size(self._rendering) != _size(request):
+                self._interrupt()
             if not self._stopping and not self._thread.is_alive():
                 self._thread.start()
+            self._condition.notify()
+
+    def measure_effects(self) -> None:
+        """The next result says what each effect of the scene costs. Until then no frame is rendered."""
+        with self._condition:
+            self._measuring = True
             self._condition.notify()
 
     @property
@@ -123,11 +151,12 @@ class Worker:
                 self._condition.wait_for(lambda: self._stopping or self._has_work())
                 if self._stopping:
                     break
-                request = self._request
+                request = self._rendering = self._request
             try:
                 self._serve(request)
             except Interrupted:
-                pass  # only to stop
+                if self._renderer is not None:  # to stop, or for a newer request of another size
+                    self._renderer.reset("the image size changed")
             except DeviceError as error:
                 self._drop_device(request, error)
             except Error as error:
@@ -135,6 +164,8 @@ class Worker:
             except BaseException as error:  # The viewport shows whatever it is, and lives on.
                 traceback.print_exc()
                 self._fail(request, f"svgf failed: {error!r}. The traceback is in the console.")
+            finally:
+                self._rendering = None
         self._renderer = None
 
     def _has_work(self) -> bool:
@@ -145,7 +176,8 @@ class Worker:
         return (
             self._is_new(request)
             or result.samples < request.sample_limit
-            or done.overlay != request.overlay
+            or self._measuring
+            or (done.look, done.part) != (request.look, request.part)
             or bool(result.error)  # of another request, so it is to be taken back
         )
 
@@ -162,8 +194,11 @@ class Worker:
         result = self.result
         if self._is_new(request) or result.samples < request.sample_limit:
             result = self._render(request)
+        if self._measuring:
+            self._measuring = False
+            result = replace(result, costs=self._measure_effects(request))
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
-        self._publish(replace(result, picture=paint(result.frame, request.overlay), error=""))
+        self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
         self._done = request
 
     def _render(self, request: Request) -> Result:
@@ -187,6 +222,8 @@ class Worker:
             reset=frame.reset or last.reset,
             frames=1 if frame.reset else last.frames + 1,
             milliseconds=(time.perf_counter() - start) * 1e3,
+            noise=_noise(frame),
+            history=float(frame.history_length.max()),
             device=renderer.device.description,
         )
 
@@ -203,11 +240,27 @@ class Worker:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer
 
+    def _measure_effects(self, request: Request) -> dict[Effects, float]:
+        from svgf.bench.effects import measure  # seldom needed, so that views do not wait for it
+
+        defaults = request.scene.defaults
+        size = defaults.width, defaults.height
+        rows = measure(
+            self._prepare(request).device, request.scene.name, request.scene, size, request.settings.bounces, _RUNS
+        )
+        return {Effects[row.what]: row.on_ms - row.off_ms for row in rows if row.what in Effects.__members__}
+
     def _averaged(self, frame: Frame, samples: int) -> Frame:
         """Without a denoiser, the mean of all frames since the view came to rest is the picture."""
         color = frame.color.astype(np.float64)
-        self._mean = color if samples == 1 else self._mean + (color - self._mean) / samples
-        return replace(frame, color=self._mean.astype(np.float32))
+        if samples == 1:
+            self._mean, self._squares = color, np.zeros(color.shape[:2])
+        else:  # Welford's update, which does not cancel
+            difference = color - self._mean
+            self._mean = self._mean + difference / samples
+            self._squares = self._squares + (difference @ _LUMINANCE) * ((color - self._mean) @ _LUMINANCE)
+        variance = self._squares / max(samples * (samples - 1), 1)
+        return frame.with_images(color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""
@@ -224,3 +277,13 @@ class Worker:
 
     def _publish(self, result: Result) -> None:
         self.result = replace(result, number=self.result.number + 1)
+
+
+def _size(request: Request) -> tuple[int, int]:
+    return request.scene.defaults.width, request.scene.defaults.height
+
+
+def _noise(frame: Frame) -> float:
+    """What Result.noise says."""
+    mean, deviation = float(frame.color.mean()), float(np.sqrt(np.maximum(frame.variance, 0)).mean())
+    return deviation / mean if mean > 0 and deviation > 0 else math.nan

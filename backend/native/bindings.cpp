@@ -191,11 +191,14 @@ nb::object to_numpy(Device& device, nb::object image) {
         const size_t shape[3] = {size_t(source.height), size_t(source.width), size_t(source.channels)};
         return std::visit(
             [&](const auto& pixels) {
-                auto values = [&] {
+                using Value = std::remove_const_t<std::remove_pointer_t<decltype(pixels.data())>>;
+                auto* owner = new std::shared_ptr<void>(device.host_memory(pixels.bytes()));
+                nb::capsule capsule(owner, [](void* memory) noexcept { delete static_cast<std::shared_ptr<void>*>(memory); });
+                {
                     nb::gil_scoped_release release;
-                    return pixels.download();
-                }();
-                return numpy_image(std::move(values), source.channels == 1 ? 2 : 3, shape);
+                    device.download(owner->get(), pixels.data(), pixels.bytes());
+                }
+                return nb::cast(nb::ndarray<nb::numpy, Value>(owner->get(), source.channels == 1 ? 2 : 3, shape, capsule));
             },
             source.pixels);
     }
@@ -215,6 +218,14 @@ std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, Host
     return std::make_shared<Mesh>(device, arrays);
 }
 
+bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArray<float> normals,
+                HostArray<float> previous_positions) {
+    const Mesh::Arrays arrays{.positions = span_of(positions), .triangles = {}, .normals = span_of(normals), .uvs = {},
+                              .material_slots = {}, .previous_positions = span_of(previous_positions)};
+    nb::gil_scoped_release release;
+    return mesh.refit(device, arrays);
+}
+
 std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
                                       int interpolation, int extension, bool associated_alpha) {
     if (pixels.ndim() != 3 || pixels.shape(2) != 4) throw InputError("A texture's pixels must be [H, W, 4].");
@@ -231,27 +242,56 @@ std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_
 void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, HostArray<int32_t> instance_mesh,
                    HostArray<float> object_to_world, HostArray<float> world_to_object,
                    HostArray<float> previous_object_to_world, HostArray<int32_t> object_id,
-                   HostArray<int32_t> material_start, HostArray<int32_t> material_table) {
+                   HostArray<int32_t> material_start, HostArray<int32_t> material_table, HostArray<uint8_t> visibility,
+                   HostArray<int32_t> emitter) {
     const Tracer::Instances instances{span_of(instance_mesh),   span_of(object_to_world), span_of(world_to_object),
                                       span_of(previous_object_to_world), span_of(object_id), span_of(material_start),
-                                      span_of(material_table)};
+                                      span_of(material_table), span_of(visibility), span_of(emitter)};
     nb::gil_scoped_release release;
     tracer.set_instances(std::move(meshes), instances);
 }
 
-void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<float> probability,
-                HostArray<float> cdf, float triangle_light_scale, HostArray<float> world_radiance) {
-    const auto world = fixed_span<3>(world_radiance, "world_radiance");
-    tracer.set_lights({span_of(kind), span_of(data), span_of(probability), span_of(cdf), triangle_light_scale,
-                       {world[0], world[1], world[2]}});
+void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<uint8_t> visibility,
+                HostArray<float> probability, HostArray<float> cdf, HostArray<float> tree,
+                HostArray<int32_t> light_of_leaf, HostArray<int32_t> emitters, HostArray<int32_t> light_of_triangle,
+                HostArray<int32_t> emission_map, HostArray<float> emission_maps) {
+    tracer.set_lights({span_of(kind), span_of(data), span_of(visibility), span_of(probability), span_of(cdf),
+                       span_of(tree), span_of(light_of_leaf), span_of(emitters), span_of(light_of_triangle),
+                       span_of(emission_map), span_of(emission_maps)});
+}
+
+void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
+               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf) {
+    const auto color = fixed_span<3>(radiance, "world_radiance");
+    const auto rotation = fixed_span<9>(to_environment, "world_to_environment");
+    Tracer::World world{.radiance = {color[0], color[1], color[2]},
+                        .visibility = visibility,
+                        .texture = texture,
+                        .light = light,
+                        .row_cdf = span_of(row_cdf),
+                        .column_cdf = span_of(column_cdf)};
+    std::copy(rotation.begin(), rotation.end(), world.to_environment.begin());
+    world.rows = std::max(int(row_cdf.size()) - 1, 0);
+    world.columns = world.rows ? int(column_cdf.size()) / world.rows - 1 : 0;
+    tracer.set_world(world);
 }
 
 void set_camera(Tracer& tracer, HostArray<float> camera_to_world, HostArray<float> previous_camera_to_world,
-                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip) {
+                HostArray<float> window, HostArray<float> previous_window, HostArray<float> clip, HostArray<float> lens,
+                HostArray<float> previous_lens) {
     tracer.set_camera({fixed_span<12>(camera_to_world, "camera_to_world"),
                        fixed_span<12>(previous_camera_to_world, "previous_camera_to_world"),
                        fixed_span<4>(window, "window"), fixed_span<4>(previous_window, "previous_window"),
-                       fixed_span<2>(clip, "clip")});
+                       fixed_span<2>(clip, "clip"), fixed_span<6>(lens, "lens"),
+                       fixed_span<6>(previous_lens, "previous_lens")});
+}
+
+// values: the fields of svgf.LightPaths in their order; none: no limits.
+LightPaths read_light_paths(int bounces, const std::vector<double>& values) {
+    if (values.empty()) return {.bounces = bounces};
+    if (values.size() != 9) throw InputError("light_paths must have 9 values.");
+    return {bounces, int(values[0]), int(values[1]), int(values[2]), int(values[3]), values[4] != 0, values[5] != 0,
+            float(values[6]), float(values[7]), float(values[8])};
 }
 
 template <class Choice>
@@ -265,15 +305,18 @@ Choice choose(const std::string& value, const char* what, std::initializer_list<
 }
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
-               uint32_t effects, const std::string& pixel_filter, const std::string& signals) {
+               uint32_t effects, const std::string& pixel_filter, const std::string& signals,
+               const std::vector<double>& light_paths, bool transparent_film, uint32_t kernel) {
     const Tracer::Frame frame{
         .width = width,
         .height = height,
         .sample = sample,
         .samples = samples,
         .seed = seed,
-        .bounces = bounces,
+        .light_paths = read_light_paths(bounces, light_paths),
+        .transparent_film = transparent_film,
         .effects = effects,
+        .kernel = kernel,
         .pixel_filter = choose<PixelFilter>(pixel_filter, "pixel filter",
                                             {{"box", PixelFilter::box}, {"center", PixelFilter::center}}),
         .signals = choose<Signals>(signals, "split into signals",
@@ -284,6 +327,21 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
     {
         nb::gil_scoped_release release;
         images = tracer.trace(frame);
+    }
+    nb::dict result;
+    for (auto& image : images)
+        result[image.name.c_str()] = std::visit(
+            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
+    return result;
+}
+
+nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
+    if (rays.ndim() != 3 || rays.shape(2) != 8) throw InputError("Rays must be [H, W, 8].");
+    const int height = int(rays.shape(0)), width = int(rays.shape(1));
+    std::vector<Image> images;
+    {
+        nb::gil_scoped_release release;
+        images = tracer.cast(span_of(rays), width, height, any_hit);
     }
     nb::dict result;
     for (auto& image : images)
@@ -400,6 +458,11 @@ NB_MODULE(SVGF_MODULE, module) {
         for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
         return devices;
     }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
+    module.def("kernels", [] {
+        std::vector<uint32_t> kernels;
+        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
+        return kernels;
+    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame runs.");
     module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
@@ -414,16 +477,16 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Device>(module, "Device")
         .def(nb::new_([](int index) { return std::make_shared<Device>(index); }), "index"_a = 0)
-        .def("take_timings", [](Device& device) {
+        .def("take_timings", [](Device& device, bool by_launch) {
             std::vector<std::pair<std::string, double>> timings;
             {
                 nb::gil_scoped_release release;
-                timings = device.take_timings();
+                timings = device.take_timings(by_launch);
             }
             nb::dict result;
             for (const auto& [name, milliseconds] : timings) result[name.c_str()] = milliseconds;
             return result;
-        })
+        }, "by_launch"_a = false)
         .def("synchronize", &Device::synchronize, nb::call_guard<nb::gil_scoped_release>())
         .def("interrupt", &Device::interrupt)
         .def("clear_interrupt", &Device::clear_interrupt)
@@ -447,6 +510,7 @@ NB_MODULE(SVGF_MODULE, module) {
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
              "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
+        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a)
         .def_prop_ro("bytes", &Mesh::bytes);
 
     nb::class_<Texture>(module, "Texture")
@@ -456,7 +520,8 @@ NB_MODULE(SVGF_MODULE, module) {
     // Tracer and Denoiser keep the device alive: it is used when they run, and by their buffers until they are gone.
     nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
         .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
-             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a)
+             "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a, "visibility"_a,
+             "emitter"_a)
         .def("set_materials", [](Tracer& tracer, HostArray<float> materials, HostArray<float> material_maps,
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));
@@ -464,12 +529,17 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
             tracer.set_albedo_tables(span_of(tables));
         }, "tables"_a)
-        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_probability"_a, "light_cdf"_a,
-             "triangle_light_scale"_a, "world_radiance"_a)
+        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
+             "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
+             "emission_maps"_a)
+        .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
+             "row_cdf"_a, "column_cdf"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
-             "previous_window"_a, "clip"_a)
+             "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
-             "pixel_filter"_a, "signals"_a);
+             "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false,
+             "kernel"_a = 0)
+        .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Directional albedos of lobes, which no closed form gives, as tables that every device reads.
 
-``python -m svgf.reference.albedo`` computes those of GGX. Axes are those of Cycles' tables, so that what lies between two
-entries comes out alike: roughness, cosine of the view, and sqrt((ior - 1) / (ior + 1)), each in even steps over [0, 1].
+``python -m svgf.reference.albedo`` computes those of GGX. Axes are those of Cycles' tables, so that what lies between
+two entries comes out alike: roughness, cosine of the view, and sqrt((ior - 1) / (ior + 1)), each in even steps over [0,
+1].
 """
 
 from __future__ import annotations

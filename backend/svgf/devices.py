@@ -7,15 +7,22 @@
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from . import _native
+from .effects import Effects
 from .errors import DeviceError, InputError
 
 NAMES = ("auto", "cuda", "cpu", "reference")
+
+_INSTALL_AGAIN = "Install svgf again on this machine: pip install --force-reinstall --no-deps svgf"
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,11 @@ class Device:
     def mesh(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Mesh(self._device, *arguments, **named)
 
+    def refit(self, mesh: Any, positions: np.ndarray, normals: np.ndarray, previous_positions: np.ndarray) -> bool:
+        """Moves the vertices of a mesh of this device that was made with previous positions; its triangles, slots and UVs
+        stay. Returns False where that does not pay: the mesh can then no longer be used."""
+        return mesh.refit(self._device, positions, normals, previous_positions)
+
     def texture(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Texture(self._device, *arguments, **named)
 
@@ -53,9 +65,22 @@ class Device:
     def denoiser(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Denoiser(self._device, *arguments, **named)
 
+    @property
+    def kernels(self) -> tuple[Effects, ...]:
+        """What each compiled kernel simulates, from the cheapest on: a frame takes the first that covers its effects."""
+        return tuple(Effects(bits) for bits in self._module.kernels())
+
+    def kernel_for(self, effects: Effects) -> Effects:
+        """The one of ``kernels`` that a frame with these effects takes."""
+        return next(kernel for kernel in self.kernels if effects & kernel == effects)
+
     def take_timings(self) -> dict[str, float]:
         """Milliseconds per stage since the last call. Waits for the device."""
         return self._device.take_timings()
+
+    def synchronize(self) -> None:
+        """Waits until the device has done all that it was asked to."""
+        self._device.synchronize()
 
     def interrupt(self) -> None:
         """From any thread: the running stage, or else the next one, raises Interrupted."""
@@ -82,30 +107,41 @@ class Device:
         return f"<svgf.Device {self.name}: {self.description}>"
 
 
-def _load_native(name: str) -> ModuleType:
+def load_native(name: str) -> ModuleType:
+    """The native module "cpu", "cpu_avx2" or "cuda", which touches no GPU yet. Raises DeviceError that says why not."""
     try:
         return importlib.import_module(f"._native.{name}", __package__)
     except ImportError as error:
-        if name == "cuda" and getattr(error, "name", None):
-            reason = "This build of svgf has no CUDA module."
-            hint = "Install it again with a CUDA compiler, or with network access so that pip can fetch one."
-        else:
-            reason = f"The native module svgf._native.{name} cannot be loaded: {error}."
-            hint = "Install svgf again on this machine: pip install --force-reinstall --no-deps svgf"
-        raise DeviceError(reason, hint) from error
+        raise DeviceError(_why_not_loaded(name, error), _INSTALL_AGAIN) from error
+
+
+def _why_not_loaded(name: str, error: ImportError) -> str:
+    module, folder = f"The native module svgf._native.{name}", Path(_native.__path__[0])
+    python = f"Python {sys.version_info.major}.{sys.version_info.minor}"
+    if isinstance(error, ModuleNotFoundError):
+        others = ", ".join(sorted(file.name for file in folder.glob(f"{name}.*")))
+        if others:
+            return f"{module} is made for another Python than {python}: {others}."
+        return "This build of svgf has no CUDA module." if name == "cuda" else f"{module} is missing in {folder}."
+    if "undefined symbol: Py" in str(error):
+        return f"{module} is made for a newer Python than {python}."
+    library = re.search(r"`((?:GLIBC|GLIBCXX|CXXABI)_[\d.]+)' not found", str(error))
+    if library:
+        return f"{module} needs {library[1]}, which this system is too old to have."
+    return f"{module} cannot be loaded: {error}."
 
 
 def _cpu_module() -> ModuleType:
     """The fastest build that this processor can run."""
-    baseline = _load_native("cpu")
-    return _load_native("cpu_avx2") if baseline.has_avx2_build and baseline.processor_has_avx2() else baseline
+    baseline = load_native("cpu")
+    return load_native("cpu_avx2") if baseline.has_avx2_build and baseline.processor_has_avx2() else baseline
 
 
 def _info(name: str) -> DeviceInfo:
     if name == "reference":
         return DeviceInfo(name, f"numpy {np.__version__}, float64", True)
     try:
-        module = _cpu_module() if name == "cpu" else _load_native("cuda")
+        module = _cpu_module() if name == "cpu" else load_native("cuda")
     except DeviceError as error:
         return DeviceInfo(name, "-", False, str(error))
     description, memory, reason = module.list_devices()[0]
@@ -133,4 +169,4 @@ def open_device(name: str = "auto") -> Device:
         from . import reference
 
         return Device(name, info.description, reference)
-    return Device(name, info.description, _cpu_module() if name == "cpu" else _load_native("cuda"))
+    return Device(name, info.description, _cpu_module() if name == "cpu" else load_native("cuda"))

@@ -7,7 +7,7 @@ from enum import IntFlag, auto
 
 import numpy as np
 
-from .scene import Instances, LightKind, Material, MaterialKind, Mesh, Scene
+from .scene import Instances, Light, LightKind, Material, MaterialKind, Mesh, RayVisibility, Scene
 
 
 class Effects(IntFlag):
@@ -16,8 +16,11 @@ class Effects(IntFlag):
     TEXTURES: a material reads an image. SPECULAR: a material has a lobe besides Lambert's. TRANSMISSION: a
     material lets light through, other than straight. MESH_LIGHTS: a mesh emits. DELTA_LIGHTS: lamps without size.
     AREA_LIGHTS: lamps with size. ENVIRONMENT: the world emits. CAMERA_MOTION, OBJECT_MOTION: moved since the previous
-    frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS, COAT,
-    SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
+    frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS,
+    COAT, SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
+    ENVIRONMENT_MAP: the world is an image. DEPTH_OF_FIELD: the lens has an opening. RAY_VISIBILITY: not all kinds of
+    rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose
+    among them at every point anew.
     """
 
     NONE = 0
@@ -37,28 +40,88 @@ class Effects(IntFlag):
     SHEEN = auto()
     ANISOTROPY = auto()
     MATERIAL_MIXES = auto()
+    ENVIRONMENT_MAP = auto()
+    DEPTH_OF_FIELD = auto()
+    RAY_VISIBILITY = auto()
+    LIGHT_PATH_LIMITS = auto()
+    MANY_LIGHTS = auto()
+
+
+MOTION_EFFECTS = Effects.CAMERA_MOTION | Effects.OBJECT_MOTION | Effects.DEFORMATION
 
 
 def find_effects(scene: Scene) -> Effects:
     """The effects of one frame. Materials and meshes that no instance uses do not count."""
-    effects = Effects.NONE
+    effects = _world_and_camera_effects(scene)
     for index in np.flatnonzero(used_materials(scene)):
         effects |= _material_effects(scene.materials[index])
     for light in scene.lights:
-        if max(light.power) > 0.0:
-            has_size = light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) or light.size[0] > 0.0
-            effects |= Effects.AREA_LIGHTS if has_size else Effects.DELTA_LIGHTS
-    if max(scene.world.radiance) > 0.0:
-        effects |= Effects.ENVIRONMENT
-    camera, previous = scene.camera, scene.previous_camera
-    if not np.array_equal(camera.camera_to_world, previous.camera_to_world) or camera.window != previous.window:
-        effects |= Effects.CAMERA_MOTION
+        effects |= _light_effects(light)
     instances = scene.instances
     if not np.array_equal(instances.object_to_world, instances.previous_object_to_world):
         effects |= Effects.OBJECT_MOTION
     if any(scene.meshes[index].previous_positions is not None for index in np.unique(instances.mesh)):
         effects |= Effects.DEFORMATION
     return effects
+
+
+def _world_and_camera_effects(scene: Scene) -> Effects:
+    effects = Effects.NONE
+    if max(scene.world.radiance) > 0.0:
+        effects |= Effects.ENVIRONMENT
+        if scene.world.environment >= 0:
+            effects |= Effects.ENVIRONMENT_MAP
+        if scene.world.visibility | RayVisibility.SHADOW != RayVisibility.ALL:
+            effects |= Effects.RAY_VISIBILITY
+    camera, previous = scene.camera, scene.previous_camera
+    same_view = camera.window == previous.window and camera.projection is previous.projection
+    if not same_view or not np.array_equal(camera.camera_to_world, previous.camera_to_world):
+        effects |= Effects.CAMERA_MOTION
+    if camera.aperture.radius > 0.0:
+        effects |= Effects.DEPTH_OF_FIELD
+    visibility = scene.instances.visibility
+    seen_by_all = visibility is None or bool((np.asarray(visibility) == RayVisibility.ALL).all())
+    every_bounce = RayVisibility.DIFFUSE | RayVisibility.GLOSSY | RayVisibility.TRANSMISSION
+    if not seen_by_all or any(light.visibility & every_bounce != every_bounce for light in scene.lights):
+        effects |= Effects.RAY_VISIBILITY
+    if scene.defaults.light_paths.changes(scene.defaults.bounces):
+        effects |= Effects.LIGHT_PATH_LIMITS
+    return effects
+
+
+def find_causes(scene: Scene) -> dict[Effects, tuple[str, ...]]:
+    """For each effect of a scene, what calls for it: materials, lamps and meshes by their kind and name."""
+    found = find_effects(scene)
+    causes: dict[Effects, dict[str, None]] = {effect: {} for effect in found}
+
+    def blame(name: str, effects: Effects) -> None:
+        for effect in effects & found:
+            causes[effect][name] = None
+
+    for index in np.flatnonzero(used_materials(scene)):
+        blame(f'material "{scene.materials[index].name}"', _material_effects(scene.materials[index]))
+    for light in scene.lights:
+        blame(f'lamp "{light.name}"', _light_effects(light))
+    for index in np.unique(scene.instances.mesh):
+        if scene.meshes[index].previous_positions is not None:
+            blame(f'mesh "{scene.meshes[index].name}"', Effects.DEFORMATION)
+    blame("the world", Effects.ENVIRONMENT | Effects.ENVIRONMENT_MAP)
+    blame("the camera", Effects.CAMERA_MOTION | Effects.DEPTH_OF_FIELD)
+    if Effects.OBJECT_MOTION in found:
+        moving = scene.instances.object_to_world != scene.instances.previous_object_to_world
+        count = int(moving.any(axis=(1, 2)).sum())
+        blame(f"{count} moving instance{'s' if count > 1 else ''}", Effects.OBJECT_MOTION)
+    blame("settings of objects, lamps or the world", Effects.RAY_VISIBILITY)
+    blame("the render settings", Effects.LIGHT_PATH_LIMITS)
+    blame(f"{len(scene.lights)} lamps", Effects.MANY_LIGHTS)
+    return {effect: tuple(names) for effect, names in causes.items()}
+
+
+def _light_effects(light: Light) -> Effects:
+    if max(light.power) <= 0.0:
+        return Effects.NONE
+    has_size = light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) or light.size[0] > 0.0
+    return Effects.AREA_LIGHTS if has_size else Effects.DELTA_LIGHTS
 
 
 def used_materials(scene: Scene) -> np.ndarray:

@@ -9,20 +9,25 @@ keeps the same numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .effects import Effects, find_effects, instances_by_mesh
-from .scene import MATERIAL_INPUTS, Instances, Light, LightKind, Material, MaterialKind, Mesh, Scene, Texture
-
-TRIANGLE = 5  # light_kind after those of LightKind
-
-# Radiance of an area lamp, times its area, over its power.
-AREA_LAMP_RADIANCE = 1.0 / np.pi
-
-# An area lamp without width is a limit that no sampling reaches; this narrow one has the same power. Metres.
-SMALLEST_LAMP_WIDTH = 1e-6
+from .effects import Effects, find_effects
+from .flat_lights import ENVIRONMENT, Emission, flatten_lights
+from .scene import (
+    MATERIAL_INPUTS,
+    Camera,
+    Instances,
+    Material,
+    MaterialKind,
+    Mesh,
+    Projection,
+    RayVisibility,
+    Scene,
+    Texture,
+    TextureMap,
+)
 
 # Determinant over the product of the column lengths, below which a matrix counts as not invertible.
 SMALLEST_DETERMINANT = 1e-12
@@ -66,6 +71,8 @@ MATERIAL_COLUMNS = {
     "multiscatter": 43,
     "light_emission": 44,
 }
+# Beyond these Fresnel's terms lose their digits.
+SMALLEST_IOR, LARGEST_IOR = 1e-5, 1000.0
 # A normal map's texel that leaves the normal as it is.
 NEUTRAL_NORMAL = (0.5, 0.5, 1.0)
 
@@ -77,8 +84,25 @@ _INSTANCE_ARRAYS = (
     "object_id",
     "material_start",
     "material_table",
+    "visibility",
 )
-_LIGHT_ARRAYS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale")
+# Fields of FlatScene that flatten_lights makes.
+_LIGHT_ARRAYS = (
+    "light_kind",
+    "light_data",
+    "light_visibility",
+    "light_probability",
+    "light_cdf",
+    "light_tree",
+    "light_of_leaf",
+    "emitter",
+    "emitters",
+    "light_of_triangle",
+    "emission_map",
+    "emission_maps",
+    "row_cdf",
+    "column_cdf",
+)
 
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -92,26 +116,39 @@ class FlatScene:
 
     meshes, textures: the scene's. mesh_bounds: [meshes, 2, 3] smallest and largest finite vertex, NaN without any.
     Instances (N rows): instance_mesh int32 [N], object_to_world, world_to_object, previous_object_to_world [N, 3, 4],
-    object_id int32 [N], material_start int32 [N], material_table int32.
+    object_id int32 [N], material_start int32 [N], material_table int32, visibility uint8 [N].
 
     materials [M, 48]: see MATERIAL_COLUMNS; 47 is zero. material_maps [K, 12], those of a material one after the other:
     column that the value goes to 0, texture 1, channel 2 (-1: RGB), uv_layer 3, uv_transform 4:10, 10:12 zero.
 
-    camera_to_world, previous_camera_to_world [3, 4]; window, previous_window [4] (left, right, bottom, top); clip [2].
-    world_radiance [3].
+    camera_to_world, previous_camera_to_world [3, 4]; window, previous_window [4] (left, right, bottom, top); clip [2];
+    lens, previous_lens [6]: 1 if orthographic, radius and focus distance of the aperture, its blades, rotation, width
+    over height.
 
-    Lights (L rows; lamps that shine, in the scene's order, then triangles that do, in instance order): light_kind int32
-    [L] (LightKind or TRIANGLE), light_probability [L], light_cdf [L + 1] from 0 to 1, and light_data [L, 24]:
+    world_radiance [3], world_visibility, environment: index into textures or -1, world_to_environment [9].
+    row_cdf float32 [rows + 1], column_cdf float32 [rows, columns + 1]: by which directions of the environment are
+    sampled, see svgf.environment; empty where they are not.
+
+    Lights (L rows: suns, the environment, other lamps, triangles that shine, each in the scene's order): light_kind
+    int32 [L] (LightKind, TRIANGLE or ENVIRONMENT), light_visibility uint8 [L], light_data [L, 24]:
 
     - 0:3 position; TRIANGLE: vertex 0
     - 3:6, 6:9, 9:12 unit axes X, Y, Z, the lamp shines along -Z; TRIANGLE: the edges v1 - v0, v2 - v0, the unit normal
     - 12:15 radiance; without size: intensity in W / sr, of a sun irradiance in W / m^2
     - 15:17 POINT, SPOT: radius, 0; SUN: sine and cosine of half the angle; area lamps: full widths
     - 17 area of area lamps and triangles
-    - 18, 19 SPOT: cosine of half the angle, 1 / width of the blend in cosine
-    - 20 whether without size, 21:24 zero
+    - 18, 19 SPOT: cosine of half the angle, 1 / width of the blend in cosine; area lamps: tangent of half the spread,
+      1 / (tangent - angle), 0 without one
+    - 20 whether without size, 21:23 zero, 23 soft falloff
 
-    A triangle that a ray hits is chosen as light with probability mean(emission) * area * triangle_light_scale.
+    light_cdf has one interval for each light, or, where there is a light tree, one for each sun and the environment and
+    the last for the tree. light_probability [L]: that of the light's interval. light_tree [2^(depth + 1) - 1, 12] and
+    light_of_leaf int32 [2^depth]: see svgf.light_tree; empty without one.
+
+    The light of a triangle: emitter int32 [N] is the row of an instance in emitters int32 [E, 2], or -1; its light is
+    emitters[e, 0] + light_of_triangle[emitters[e, 1] + triangle] (int32), where that last number is not -1.
+    emission_map int32 [L]: row of emission_maps [K, 8], by which a triangle's radiance is multiplied, or -1: texture
+    coordinates of the corners 0:6, texture 6.
     """
 
     scene: Scene
@@ -129,6 +166,7 @@ class FlatScene:
     object_id: np.ndarray
     material_start: np.ndarray
     material_table: np.ndarray
+    visibility: np.ndarray
 
     materials: np.ndarray
     material_maps: np.ndarray
@@ -139,13 +177,34 @@ class FlatScene:
     window: np.ndarray
     previous_window: np.ndarray
     clip: np.ndarray
+    lens: np.ndarray
+    previous_lens: np.ndarray
 
     world_radiance: np.ndarray
+    world_visibility: int
+    environment: int
+    world_to_environment: np.ndarray
+    row_cdf: np.ndarray
+    column_cdf: np.ndarray
+
     light_kind: np.ndarray
     light_data: np.ndarray
+    light_visibility: np.ndarray
     light_probability: np.ndarray
     light_cdf: np.ndarray
-    triangle_light_scale: float
+    light_tree: np.ndarray
+    light_of_leaf: np.ndarray
+    emitter: np.ndarray
+    emitters: np.ndarray
+    light_of_triangle: np.ndarray
+    emission_map: np.ndarray
+    emission_maps: np.ndarray
+
+    @property
+    def environment_light(self) -> int:
+        """The environment's row of the lights, -1 where it is none of them."""
+        found = np.flatnonzero(self.light_kind == ENVIRONMENT)
+        return int(found[0]) if len(found) else -1
 
 
 def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
@@ -170,18 +229,23 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
     materials = previous.materials if same_materials else material_rows(scene.materials)
     material_maps = previous.material_maps if same_materials else material_map_rows(scene.materials)
 
-    if same_instances and same_materials and _same_items(scene.lights, previous.scene.lights):
+    same_lights = previous is not None and _same_items(scene.lights, previous.scene.lights)
+    same_world = previous is not None and _same_world(scene, previous.scene)
+    if same_instances and same_materials and same_lights and same_world:
         light_arrays = {name: getattr(previous, name) for name in _LIGHT_ARRAYS}
     else:
-        lamps = _lamps(scene.lights, origin, extent)
-        triangles = _emissive_triangles(scene.meshes, instance_arrays, materials)
-        light_arrays = _light_arrays(lamps, triangles)
+        emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
+        emission = Emission(*_with_emission_maps(scene.materials, emission))
+        light_arrays = flatten_lights(scene, instance_arrays, emission, origin, extent)
+    effects = find_effects(scene)
+    if len(light_arrays["light_tree"]):
+        effects |= Effects.MANY_LIGHTS
 
     return FlatScene(
         scene=scene,
         origin=origin,
         extent=extent,
-        effects=find_effects(scene),
+        effects=effects,
         warnings=(*scene.warnings, *warnings),
         meshes=tuple(scene.meshes),
         mesh_bounds=mesh_bounds,
@@ -194,13 +258,33 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
         window=np.asarray(scene.camera.window, dtype=np.float64),
         previous_window=np.asarray(scene.previous_camera.window, dtype=np.float64),
         clip=np.asarray(scene.camera.clip, dtype=np.float64),
+        lens=_lens(scene.camera),
+        previous_lens=_lens(scene.previous_camera),
         world_radiance=np.asarray(scene.world.radiance, dtype=np.float64),
+        world_visibility=int(scene.world.visibility),
+        environment=scene.world.environment,
+        world_to_environment=np.asarray(scene.world.world_to_environment, dtype=np.float64),
         **light_arrays,
     )
 
 
 def _same_items(items: tuple, others: tuple) -> bool:
     return items is others or (len(items) == len(others) and all(a is b for a, b in zip(items, others)))
+
+
+def _same_world(scene: Scene, other: Scene) -> bool:
+    if scene.world != other.world:
+        return False
+    index = scene.world.environment
+    return index < 0 or scene.textures[index] is other.textures[index]
+
+
+def _lens(camera: Camera) -> np.ndarray:
+    """[6], see FlatScene."""
+    lens = camera.aperture
+    is_orthographic = camera.projection is Projection.ORTHOGRAPHIC
+    row = (is_orthographic, lens.radius, lens.focus_distance, lens.blades, lens.rotation, 1.0 / lens.ratio)
+    return np.array(row, dtype=np.float64)
 
 
 def _transforms(rows: np.ndarray) -> np.ndarray:
@@ -274,6 +358,9 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
     mesh = np.asarray(instances.mesh, dtype=np.int32)
     object_id = np.asarray(instances.object_id, dtype=np.int32)
     material_start = np.asarray(instances.material_start, dtype=np.int32)
+    visibility = np.full(len(mesh), int(RayVisibility.ALL), dtype=np.uint8)
+    if instances.visibility is not None:
+        visibility[:] = instances.visibility
     warnings: tuple[str, ...] = ()
     if not exists.all():
         names = ", ".join(sorted({scene.meshes[index].name for index in np.unique(mesh[~exists])})[:3])
@@ -281,6 +368,7 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
         warnings = (f"{count} instance(s) left out, their transform has no inverse (meshes: {names}).",)
         object_to_world, previous, inverse = object_to_world[exists], previous[exists], inverse[exists]
         mesh, object_id, material_start = mesh[exists], object_id[exists], material_start[exists]
+        visibility = visibility[exists]
 
     unknown = ~np.isfinite(previous).all(axis=(1, 2))
     previous[unknown] = object_to_world[unknown]
@@ -293,6 +381,7 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
         "object_id": object_id,
         "material_start": material_start,
         "material_table": np.asarray(instances.material_table, dtype=np.int32),
+        "visibility": visibility,
     }, warnings
 
 
@@ -305,6 +394,8 @@ def material_rows(materials: tuple[Material, ...]) -> np.ndarray:
             value = getattr(material, name, None)
             if value is not None:
                 row[column : column + np.size(value)] = value
+        for name in ("ior", "coat_ior"):
+            row[MATERIAL_COLUMNS[name]] = np.clip(row[MATERIAL_COLUMNS[name]], SMALLEST_IOR, LARGEST_IOR)
         row[MATERIAL_COLUMNS["normal"] :][:3] = NEUTRAL_NORMAL
         has_normal = "normal" in material.maps and material.may_have("normal_strength")
         row[MATERIAL_COLUMNS["normal_uv_layer"]] = material.maps["normal"].uv_layer if has_normal else -1
@@ -358,6 +449,23 @@ def _light_emission(
     return known[index]
 
 
+def _with_emission_maps(
+    materials: tuple[Material, ...], emission: np.ndarray
+) -> tuple[np.ndarray, tuple[TextureMap | None, ...]]:
+    """Radiance [M, 3] that a map multiplies where there is one, and the maps. Of materials of which nothing else but
+    the map varies with the place."""
+    emission, maps = emission.copy(), []
+    for row, material in zip(emission, materials):
+        texture_map = material.maps.get("emission")
+        if texture_map is not None and not material.is_mix:
+            bare = replace(material, maps={name: item for name, item in material.maps.items() if name != "emission"})
+            constant = _light_emission((bare,), 0, {})
+            texture_map = texture_map if constant is not None else None
+            row[:] = 0.0 if constant is None else constant
+        maps.append(None if material.is_mix else texture_map)
+    return emission, tuple(maps)
+
+
 def _mixed_emission(material: Material, first: np.ndarray, second: np.ndarray) -> np.ndarray | None:
     if material.kind == MaterialKind.ADD:
         return first + second
@@ -365,110 +473,3 @@ def _mixed_emission(material: Material, first: np.ndarray, second: np.ndarray) -
     if varies and (first.any() or second.any()):
         return None
     return first * (1.0 - material.factor) + second * material.factor
-
-
-def _lamps(lights: tuple[Light, ...], origin: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kinds, rows and selection weights of the lamps that shine."""
-    kinds, rows, weights = [], [], []
-    for light in lights:
-        row, weight = _lamp(light, origin, extent)
-        if 0.0 < weight < np.inf:
-            kinds.append(int(light.kind))
-            rows.append(row)
-            weights.append(weight)
-    return np.array(kinds, dtype=np.int32), np.array(rows).reshape(-1, 24), np.array(weights, dtype=np.float64)
-
-
-def _lamp(light: Light, origin: np.ndarray, extent: float) -> tuple[np.ndarray, float]:
-    row = np.zeros(24)
-    transform = _relative(light.light_to_world, origin)
-    axes = transform[:, :3].T
-    row[0:3] = transform[:, 3]
-    row[3:12] = (axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-300)).ravel()
-    power = np.asarray(light.power, dtype=np.float64)
-    weight = power.mean()
-    if light.kind in (LightKind.POINT, LightKind.SPOT):
-        radius = max(light.size[0], 0.0)
-        intensity = power / (4.0 * np.pi)
-        row[12:15] = intensity / (np.pi * radius**2) if radius > 0.0 else intensity
-        row[15] = radius
-        row[20] = radius == 0.0
-        row[23] = light.soft_falloff and radius > 0.0
-    elif light.kind == LightKind.SUN:
-        sine, cosine = np.sin(light.size[0] / 2.0), np.cos(light.size[0] / 2.0)
-        row[12:15] = power / (np.pi * sine**2) if sine > 0.0 else power
-        row[15:17] = sine, cosine
-        row[20] = sine <= 0.0
-        weight *= np.pi * (extent / 2.0) ** 2
-    else:
-        widths = np.maximum(light.size, SMALLEST_LAMP_WIDTH)
-        area = widths.prod() * (np.pi / 4.0 if light.kind == LightKind.ELLIPSE else 1.0)
-        row[12:15] = power * AREA_LAMP_RADIANCE / area
-        row[15:17] = widths
-        row[17] = area
-    if light.kind == LightKind.SPOT:
-        cos_half = np.cos(light.spot_angle / 2.0)
-        row[18] = cos_half
-        row[19] = 1.0 / max(1e-3, (1.0 - cos_half) * light.spot_blend)
-    return row, float(weight)
-
-
-def _emissive_triangles(
-    meshes: tuple[Mesh, ...], instances: dict, materials: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kinds, rows and selection weights of the triangles that emit, in instance order."""
-    emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
-    table = instances["material_table"]
-    emits = (emission.mean(axis=1) > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
-    owners, vertices, radiances = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-    if emits.any():
-        order, bounds = instances_by_mesh(instances["instance_mesh"], len(meshes))
-        for index in np.flatnonzero(np.diff(bounds)):
-            members = order[bounds[index] : bounds[index + 1]]
-            slots = np.asarray(meshes[index].material_slots)
-            starts, group = np.unique(instances["material_start"][members], return_inverse=True)
-            by_start = np.argsort(group, kind="stable")
-            ends = np.cumsum(np.bincount(group, minlength=len(starts)))
-            for which in np.flatnonzero(emits[np.add.outer(starts, np.unique(slots))].any(axis=1)):
-                users = members[by_start[(ends[which - 1] if which else 0) : ends[which]]]
-                entries = starts[which] + slots
-                chosen = np.flatnonzero(emits[entries])
-                corners = meshes[index].positions[meshes[index].triangles[chosen]].astype(np.float64)
-                transform = instances["object_to_world"][users]
-                world = np.einsum("nij,tcj->ntci", transform[:, :, :3], corners) + transform[:, None, None, :, 3]
-                owners.append(np.repeat(users, len(chosen)))
-                vertices.append(world.reshape(-1, 3, 3))
-                radiances.append(np.tile(emission[table[entries[chosen]]], (len(users), 1)))
-    owner, vertex, radiance = (np.concatenate(parts) for parts in (owners, vertices, radiances))
-    in_order = np.argsort(owner, kind="stable")
-    vertex, radiance = vertex[in_order], radiance[in_order]
-
-    with np.errstate(invalid="ignore", over="ignore"):
-        edge1, edge2 = vertex[:, 1] - vertex[:, 0], vertex[:, 2] - vertex[:, 0]
-        normal = np.cross(edge1, edge2)
-        length = np.linalg.norm(normal, axis=1)
-        weight = radiance.mean(axis=1) * (length / 2.0) * np.pi
-        solid = (weight > 0.0) & (weight < np.inf)
-    rows = np.zeros((np.count_nonzero(solid), 24))
-    rows[:, 0:3] = vertex[solid, 0]
-    rows[:, 3:6], rows[:, 6:9] = edge1[solid], edge2[solid]
-    rows[:, 9:12] = normal[solid] / length[solid, None]
-    rows[:, 12:15] = radiance[solid]
-    rows[:, 17] = length[solid] / 2.0
-    return np.full(len(rows), TRIANGLE, dtype=np.int32), rows, weight[solid]
-
-
-def _light_arrays(lamps: tuple, triangles: tuple) -> dict:
-    kind, data, weight = (np.concatenate(parts) for parts in zip(lamps, triangles))
-    total = weight.sum()
-    cdf = np.zeros(len(weight) + 1)
-    if len(weight):
-        np.cumsum(weight / total, out=cdf[1:])
-        cdf[1:] /= cdf[-1]
-    return {
-        "light_kind": kind,
-        "light_data": data,
-        "light_probability": weight / total if len(weight) else weight,
-        "light_cdf": cdf,
-        "triangle_light_scale": float(np.pi / total) if len(weight) else 0.0,
-    }

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from .albedo import albedo_tables
 from .devices import Device, open_device
+from .effects import Effects
 from .errors import InputError
 from .flatten import FlatScene, flatten
 from .frame import Frame
@@ -46,6 +48,8 @@ class SceneUploader:
                 flat.object_id,
                 flat.material_start,
                 flat.material_table,
+                flat.visibility,
+                flat.emitter,
             )
         if textures is not None or self._changed(flat, MATERIAL_FIELDS):
             self._tracer.set_materials(
@@ -53,11 +57,16 @@ class SceneUploader:
                 [self._textures[id(texture)][1] for texture in flat.textures],
             )
         if self._changed(flat, LIGHT_FIELDS):
-            self._tracer.set_lights(
-                flat.light_kind,
-                *(np.asarray(getattr(flat, name), self._dtype) for name in LIGHT_FIELDS[1:4]),
-                float(flat.triangle_light_scale),
-                np.asarray(flat.world_radiance, self._dtype),
+            self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})
+        if self._changed(flat, WORLD_FIELDS):
+            self._tracer.set_world(
+                self._rounded(flat.world_radiance),
+                flat.world_visibility,
+                flat.environment,
+                flat.environment_light,
+                self._rounded(flat.world_to_environment),
+                flat.row_cdf,
+                flat.column_cdf,
             )
         self._tracer.set_camera(*(np.asarray(getattr(flat, name), self._dtype) for name in CAMERA_FIELDS))
         self.last = flat
@@ -66,28 +75,38 @@ class SceneUploader:
     def _dtype(self) -> type:
         return np.float64 if self._device.name == "reference" else np.float32
 
+    def _rounded(self, array: np.ndarray) -> np.ndarray:
+        """What is float64 as the device holds it."""
+        return np.asarray(array, self._dtype) if array.dtype == np.float64 else array
+
     def _changed(self, flat: FlatScene, names: tuple[str, ...]) -> bool:
         last = self.last
         return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
 
-    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any], Any]) -> Any:
-        """Brings the cache to exactly `wanted`. Returns None if it held that already."""
+    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]) -> Any:
+        """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns None if the
+        cache held just that already."""
         keys = {id(source) for source in wanted}
         if keys == cache.keys():
             return None
-        for key in cache.keys() - keys:
-            del cache[key]
+        retired = [cache.pop(key) for key in cache.keys() - keys]
         for source in wanted:
             if id(source) not in cache:
-                cache[id(source)] = (source, make(source))
+                cache[id(source)] = (source, make(source, retired))
         return cache
 
-    def _new_mesh(self, mesh: Mesh) -> Any:
+    def _new_mesh(self, mesh: Mesh, retired: list[tuple[Mesh, Any]]) -> Any:
+        for index, (last, native) in enumerate(retired):
+            if _deforms_into(last, mesh):
+                del retired[index]
+                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions):
+                    return native
+                break
         return self._device.mesh(
             mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
         )
 
-    def _new_texture(self, texture: Texture) -> Any:
+    def _new_texture(self, texture: Texture, _: list[tuple[Texture, Any]]) -> Any:
         return self._device.texture(
             texture.pixels,
             texture.srgb,
@@ -98,10 +117,32 @@ class SceneUploader:
 
 
 TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
-INSTANCE_FIELDS = ("instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table")
+INSTANCE_FIELDS = (
+    "instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table", "visibility", "emitter",
+)  # fmt: skip
 MATERIAL_FIELDS = ("materials", "material_maps")
-LIGHT_FIELDS = ("light_kind", "light_data", "light_probability", "light_cdf", "triangle_light_scale", "world_radiance")
-CAMERA_FIELDS = ("camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip")
+LIGHT_FIELDS = (
+    "light_kind", "light_data", "light_visibility", "light_probability", "light_cdf", "light_tree", "light_of_leaf",
+    "emitters", "light_of_triangle", "emission_map", "emission_maps",
+)  # fmt: skip
+WORLD_FIELDS = (
+    "world_radiance", "world_visibility", "environment", "environment_light", "world_to_environment", "row_cdf",
+    "column_cdf",
+)  # fmt: skip
+CAMERA_FIELDS = (
+    "camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip", "lens", "previous_lens",
+)  # fmt: skip
+
+
+def _deforms_into(last: Mesh, mesh: Mesh) -> bool:
+    """Whether two meshes differ in nothing but where their vertices are, and move."""
+    return (
+        last.name == mesh.name
+        and last.previous_positions is not None
+        and mesh.previous_positions is not None
+        and last.positions.shape == mesh.positions.shape
+        and all(_same(getattr(last, name), getattr(mesh, name)) for name in ("triangles", "material_slots", "uvs"))
+    )
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -195,7 +236,12 @@ class Renderer:
         progress: Callable[[float], None] | None,
     ) -> dict[str, Any]:
         """The images of the tracer; the signals are means over all samples of the frame."""
-        settings = self.settings
+        settings, defaults = self.settings, flat.scene.defaults
+        light_paths = settings.light_paths(defaults.light_paths)
+        effects = flat.effects & ~Effects.LIGHT_PATH_LIMITS
+        if light_paths.changes(bounces):
+            effects |= Effects.LIGHT_PATH_LIMITS
+        film = defaults.transparent_film if settings.transparent_film is None else settings.transparent_film
         first = (frame * settings.samples) & 0xFFFFFFFF  # the same noise for a frame, wherever the animation starts
         images: dict[str, Any] = {}
         sums: dict[str, np.ndarray] = {}
@@ -209,13 +255,15 @@ class Renderer:
                 samples=count,
                 seed=settings.seed,
                 bounces=bounces,
-                effects=int(flat.effects),
+                effects=int(effects),
                 pixel_filter=settings.resolved_pixel_filter,
                 signals=settings.signals,
+                light_paths=astuple(light_paths),
+                transparent_film=film,
             )
             images = images or traced
             if settings.samples > SAMPLES_PER_LAUNCH:
-                for name in RADIANCE_IMAGES & traced.keys():
+                for name in MEAN_IMAGES & traced.keys():
                     # float64: a sum of many thousand samples keeps every one of them.
                     part = self.device.to_numpy(traced[name]).astype(np.float64) * (count / settings.samples)
                     sums[name] = sums[name] + part if name in sums else part
@@ -247,22 +295,30 @@ class Renderer:
             array = image if isinstance(image, np.ndarray) else self.device.to_numpy(image)
             return array if array.dtype == np.int32 else array.astype(np.float32, copy=False)
 
-        noisy = sum(host(images[name]) for name in sorted(RADIANCE_IMAGES & images.keys()))
+        def lazy(image: Any, factor: float = 1.0) -> Callable[[], np.ndarray]:
+            return lambda: host(image) if factor == 1.0 else host(image) * np.float32(factor)
+
+        radiance = [images[name] for name in sorted(RADIANCE_IMAGES & images.keys())]
+        albedo = [images[name] for name in ("diffuse_albedo", "specular_albedo") if name in images]
+        width, height = self._denoiser_size
         return Frame(
             frame=scene.frame,
-            color=host(denoised["color"]) * np.float32(exposure),
-            noisy=noisy * np.float32(exposure),
-            albedo=host(images["diffuse_albedo"]) + host(images["specular_albedo"]),
-            normal=host(images["normal"]),
-            depth=host(images["depth"]),
-            motion=host(images["motion"]),
-            roughness=host(images["roughness"]),
-            object_id=host(images["object_id"]),
-            variance=host(denoised["variance"]) * np.float32(exposure**2),
-            history_length=host(denoised["history_length"]),
+            color=lazy(denoised["color"], exposure),
+            noisy=lambda: sum(map(host, radiance)) * np.float32(exposure),
+            albedo=lambda: sum(map(host, albedo)),
+            normal=lazy(images["normal"]),
+            depth=lazy(images["depth"]),
+            motion=lazy(images["motion"]) if "motion" in images else lambda: np.zeros((height, width, 3), np.float32),
+            roughness=lazy(images["roughness"]),
+            object_id=lazy(images["object_id"]),
+            variance=lazy(denoised["variance"], exposure**2),
+            history_length=lazy(denoised["history_length"]),
+            alpha=lazy(images["alpha"]) if "alpha" in images else None,
             timings=timings,
             reset=reset,
         )
 
 
 RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
+# Images that are means over all samples of a frame; the others are of its first sample.
+MEAN_IMAGES = RADIANCE_IMAGES | {"alpha"}

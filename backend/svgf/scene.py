@@ -17,9 +17,11 @@ Conventions, used everywhere in svgf:
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from enum import Enum, IntEnum
+from enum import Enum, IntEnum, IntFlag
 
 import numpy as np
+
+from .light_paths import LightPaths
 
 
 class Interpolation(IntEnum):
@@ -61,8 +63,22 @@ class LightKind(IntEnum):
     ELLIPSE = 4
 
 
+class RayVisibility(IntFlag):
+    """The rays that see something, as Blender's ray visibility names them: a ray is of the kind of the bounce that it
+    leaves; transparent surfaces do not change it. SHADOW: rays between surfaces and lights."""
+
+    NONE = 0
+    CAMERA = 1
+    DIFFUSE = 2
+    GLOSSY = 4
+    TRANSMISSION = 8
+    SHADOW = 16
+    ALL = 31
+
+
 class Projection(Enum):
     PERSPECTIVE = "perspective"
+    ORTHOGRAPHIC = "orthographic"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +113,7 @@ class Instances:
     object_id: int32 [N], > 0, the same for the same object in every frame; 0 is the background.
     material_start: int32 [N]; material of a triangle = material_table[material_start[n] + material_slots[t]].
     material_table: int32 [M], indices into Scene.materials.
+    visibility: uint8 [N], bits of RayVisibility; None: all rays see all instances.
     """
 
     mesh: np.ndarray
@@ -105,6 +122,7 @@ class Instances:
     object_id: np.ndarray
     material_start: np.ndarray
     material_table: np.ndarray
+    visibility: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -154,11 +172,11 @@ DEEPEST_MIX = 16
 class Material:
     """A shader node of Blender with its inputs; names and defaults are those of the Principled BSDF.
 
-    Colours are linear RGB in [0, 1]. metallic, roughness, transmission, alpha, coat_weight, coat_roughness, sheen_weight,
-    sheen_roughness, diffuse_roughness, subsurface_weight: [0, 1]. specular_ior_level: >= 0, 0.5 leaves the IOR as it is.
-    ior, coat_ior: >= 0 (1: no interface). emission: radiance per channel (colour times strength), >= 0.
-    anisotropic: [-1, 1], below 0 for GLOSSY alone. anisotropic_rotation: turns, [0, 1]. tangent_uv_layer: UV layer whose
-    U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
+    Colours are linear RGB in [0, 1]. metallic, roughness, transmission, alpha, coat_weight, coat_roughness,
+    sheen_weight, sheen_roughness, diffuse_roughness, subsurface_weight: [0, 1]. specular_ior_level: >= 0, 0.5 leaves
+    the IOR as it is. ior, coat_ior: >= 0 (1: no interface). emission: radiance per channel (colour times strength), >=
+    0. anisotropic: [-1, 1], below 0 for GLOSSY alone. anisotropic_rotation: turns, [0, 1]. tangent_uv_layer: UV layer
+    whose U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
     subsurface_weight is rendered as diffuse. normal_strength: >= 0, of the map "normal", which is in tangent space.
     multiscatter: light that is reflected between microfacets is not lost (Blender's distribution "Multiscatter GGX").
 
@@ -236,10 +254,12 @@ class Light:
 
     power: W per channel (colour times power); a sun's is irradiance, W / m^2 on a surface that faces it.
     light_to_world: float64 [3, 4], no scale; a sun, spot or area light shines along its -Z.
-    size: POINT, SPOT: radius (m) in size[0]; SUN: angular diameter (rad) in size[0]; RECTANGLE, ELLIPSE: full widths (m) along X, Y.
-    spot_angle: full cone angle (rad). spot_blend: [0, 1], share of the cone that fades.
+    size: POINT, SPOT: radius (m) in size[0]; SUN: angular diameter (rad) in size[0]; RECTANGLE, ELLIPSE: full widths
+    (m) along X, Y. spot_angle: full cone angle (rad). spot_blend: [0, 1], share of the cone that fades.
     soft_falloff: a POINT or SPOT is a disk that faces whatever it lights, Blender's default, instead of a sphere: light
     then does not grow without bound close to it.
+    spread: full angle (rad) into which an area lamp shines, as through a grid of slats; pi: its whole front side.
+    visibility: the rays that find it. Without SHADOW nothing is different: no ray is shadowed by a lamp.
     """
 
     name: str
@@ -250,27 +270,56 @@ class Light:
     spot_angle: float = np.pi / 4
     spot_blend: float = 0.15
     soft_falloff: bool = False
+    spread: float = np.pi
+    visibility: RayVisibility = RayVisibility.ALL & ~RayVisibility.CAMERA
 
 
 @dataclass(frozen=True)
 class World:
-    """radiance: per channel, the same from every direction, >= 0."""
+    """What rays see that hit nothing.
+
+    radiance: per channel, >= 0, the same from every direction; times the environment image where there is one.
+    environment: index into Scene.textures of an equirectangular image, -1 for none. Direction (x, y, z) of its space is
+    read at u = 1/2 - atan2(y, x) / 2 pi, v = 1/2 + asin(z) / pi, as Blender does.
+    world_to_environment: rotation, 3x3 by rows, of world directions before the image is looked up.
+    visibility: the rays that see it; SHADOW is of no effect.
+    """
 
     radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    environment: int = -1
+    world_to_environment: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    visibility: RayVisibility = RayVisibility.ALL
+
+
+@dataclass(frozen=True)
+class Aperture:
+    """The opening of a thin lens; what is off the focal plane gets blurred.
+
+    radius: metres, 0: everything is in focus. focus_distance: planar, metres, > 0. blades: corners of the opening, a
+    circle if less than 3. rotation: of the polygon, radians. ratio: height over width, > 0 (anamorphic lenses).
+    """
+
+    radius: float = 0.0
+    focus_distance: float = 10.0
+    blades: int = 0
+    rotation: float = 0.0
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """camera_to_world: float64 [3, 4], rotation and translation only.
 
-    window: (left, right, bottom, top) of the image on the plane one unit in front of the camera, in camera space; it
-    holds focal length, sensor fit, shift and pixel aspect all at once. clip: (near, far) planar distances in metres.
+    window: (left, right, bottom, top) of the image in camera space, on the plane one unit in front of the camera where
+    rays part from a point, in metres where they are parallel (ORTHOGRAPHIC); it holds focal length, sensor fit, shift
+    and pixel aspect all at once. clip: (near, far) planar distances in metres.
     """
 
     camera_to_world: np.ndarray
     window: tuple[float, float, float, float]
     clip: tuple[float, float] = (0.01, 1000.0)
     projection: Projection = Projection.PERSPECTIVE
+    aperture: Aperture = Aperture()
 
 
 @dataclass(frozen=True)
@@ -278,6 +327,7 @@ class RenderDefaults:
     """What the file says about the render; command line and Settings override it.
 
     bounces: Cycles' total light bounces (0: direct light only). exposure: film exposure, a factor on radiance.
+    light_paths: see there. transparent_film: the world is not seen behind the scene, alpha is.
     """
 
     width: int = 960
@@ -285,6 +335,8 @@ class RenderDefaults:
     frames_per_second: float = 24.0
     bounces: int = 12
     exposure: float = 1.0
+    light_paths: LightPaths = LightPaths()
+    transparent_film: bool = False
 
 
 @dataclass(frozen=True, eq=False)

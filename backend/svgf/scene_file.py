@@ -29,7 +29,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import MISSING, fields, is_dataclass, replace
-from enum import Enum
+from enum import Enum, IntFlag
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -39,7 +39,9 @@ import numpy as np
 from .errors import InputError
 from .frame_range import format_frames
 from .io.files import file_error, replacing
+from .light_paths import LightPaths
 from .scene import (
+    Aperture,
     Camera,
     Extension,
     Instances,
@@ -50,6 +52,7 @@ from .scene import (
     MaterialKind,
     Mesh,
     Projection,
+    RayVisibility,
     RenderDefaults,
     Scene,
     Texture,
@@ -346,6 +349,15 @@ def _member(kind: type[Enum]) -> _Decoder:
     return decode
 
 
+def _flags(kind: type[IntFlag]) -> _Decoder:
+    def decode(file: SceneFile, field: str, value: Any) -> IntFlag:
+        if type(value) is not int or not 0 <= value <= sum(kind):
+            raise _Malformed(field, f"is {shown(value)}, not a set of flags")
+        return kind(value)
+
+    return decode
+
+
 def _row_of(kind: type) -> _Decoder:
     return lambda file, field, row: file._object(_TABLE_OF[kind], field, row)
 
@@ -385,7 +397,10 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "uvs": _optional(_array),
         "previous_positions": _optional(_array),
     },
-    Instances: dict.fromkeys((field.name for field in fields(Instances)), _array),
+    Instances: {
+        **dict.fromkeys((field.name for field in fields(Instances)), _array),
+        "visibility": _optional(_array),
+    },
     Material: {
         "name": _text,
         "kind": _member(MaterialKind),
@@ -437,15 +452,48 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "spot_angle": _number,
         "spot_blend": _number,
         "soft_falloff": _flag,
+        "spread": _number,
+        "visibility": _flags(RayVisibility),
     },
-    World: {"radiance": _numbers},
-    Camera: {"camera_to_world": _array, "window": _numbers, "clip": _numbers, "projection": _member(Projection)},
+    World: {
+        "radiance": _numbers,
+        "environment": _integer,
+        "world_to_environment": _numbers,
+        "visibility": _flags(RayVisibility),
+    },
+    Camera: {
+        "camera_to_world": _array,
+        "window": _numbers,
+        "clip": _numbers,
+        "projection": _member(Projection),
+        "aperture": _record_of(Aperture),
+    },
+    Aperture: {
+        "radius": _number,
+        "focus_distance": _number,
+        "blades": _integer,
+        "rotation": _number,
+        "ratio": _number,
+    },
+    LightPaths: {
+        "diffuse_bounces": _integer,
+        "glossy_bounces": _integer,
+        "transmission_bounces": _integer,
+        "transparent_bounces": _integer,
+        "reflective_caustics": _flag,
+        "refractive_caustics": _flag,
+        "clamp_direct": _number,
+        "clamp_indirect": _number,
+        "filter_glossy": _number,
+    },
     RenderDefaults: {
         "width": _integer,
         "height": _integer,
         "frames_per_second": _number,
         "bounces": _integer,
         "exposure": _number,
+        "light_paths": _record_of(LightPaths),
+        "transparent_film": _flag,
     },
     Scene: {
         "meshes": _tuple_of(_row_of(Mesh)),
@@ -518,6 +566,8 @@ class _Writer:
             return [self._encode(item) for item in value]
         if isinstance(value, dict):
             return {name: self._encode(value[name]) for name in sorted(value)}
+        if isinstance(value, IntFlag):
+            return int(value)
         if isinstance(value, Enum):
             return value.name
         if is_dataclass(value):

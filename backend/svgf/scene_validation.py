@@ -16,9 +16,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .errors import InputError
+from .light_paths import LIGHT_PATH_RANGES, LightPaths
 from .scene import (
     DEEPEST_MIX,
     MATERIAL_INPUTS,
+    Aperture,
     Camera,
     Extension,
     Instances,
@@ -29,10 +31,12 @@ from .scene import (
     MaterialKind,
     Mesh,
     Projection,
+    RayVisibility,
     RenderDefaults,
     Scene,
     Texture,
     TextureMap,
+    World,
 )
 
 LARGEST_IMAGE_SIDE = 65536
@@ -79,7 +83,7 @@ class SceneValidator:
         _check_defaults(scene.defaults)
         _check_camera("camera", scene.camera)
         _check_camera("previous_camera", scene.previous_camera)
-        _numbers("world.radiance", scene.world.radiance, 3, 0.0)
+        _check_world(_instance("world", scene.world, World), len(scene.textures))
         for index, light in enumerate(_items("lights", scene.lights, Light)):
             _check_light(f"lights[{index}]", light)
         for index, texture in enumerate(_items("textures", scene.textures, Texture)):
@@ -110,6 +114,22 @@ def _check_defaults(defaults: RenderDefaults) -> None:
     _number("defaults.exposure", defaults.exposure, 0.0)
     if _number("defaults.frames_per_second", defaults.frames_per_second, 0.0) == 0.0:
         raise _Invalid("defaults.frames_per_second", "is 0")
+    _instance("defaults.transparent_film", defaults.transparent_film, bool)
+    paths = _instance("defaults.light_paths", defaults.light_paths, LightPaths)
+    for name, (low, high) in LIGHT_PATH_RANGES.items():
+        check = _integer if isinstance(high, int) else _number
+        check(f"defaults.light_paths.{name}", getattr(paths, name), low, high)
+    for name in ("reflective_caustics", "refractive_caustics"):
+        _instance(f"defaults.light_paths.{name}", getattr(paths, name), bool)
+
+
+def _check_world(world: World, texture_count: int) -> None:
+    _numbers("world.radiance", world.radiance, 3, 0.0)
+    _integer("world.environment", world.environment, -1, texture_count - 1)
+    rotation = np.array(_numbers("world.world_to_environment", world.world_to_environment, 9)).reshape(3, 3)
+    if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=1e-3):
+        raise _Invalid("world.world_to_environment", "is no rotation; its rows must be perpendicular unit vectors")
+    _instance("world.visibility", world.visibility, RayVisibility)
 
 
 def _check_camera(field: str, camera: Camera) -> None:
@@ -124,6 +144,13 @@ def _check_camera(field: str, camera: Camera) -> None:
     if not near < far:
         raise _Invalid(f"{field}.clip", f"ends at {far:g} before it starts at {near:g}")
     _instance(f"{field}.projection", camera.projection, Projection)
+    aperture = _instance(f"{field}.aperture", camera.aperture, Aperture)
+    _number(f"{field}.aperture.radius", aperture.radius, 0.0)
+    _integer(f"{field}.aperture.blades", aperture.blades, 0, 1024)
+    _number(f"{field}.aperture.rotation", aperture.rotation)
+    for name in ("focus_distance", "ratio"):
+        if _number(f"{field}.aperture.{name}", getattr(aperture, name), 0.0) == 0.0:
+            raise _Invalid(f"{field}.aperture.{name}", "is 0")
 
 
 def _check_light(field: str, light: Light) -> None:
@@ -136,6 +163,8 @@ def _check_light(field: str, light: Light) -> None:
     _number(f"{field}.spot_angle", light.spot_angle, 0.0, np.pi + 1e-6)
     _number(f"{field}.spot_blend", light.spot_blend, 0.0, 1.0)
     _instance(f"{field}.soft_falloff", light.soft_falloff, bool)
+    _number(f"{field}.spread", light.spread, 0.0, np.pi + 1e-6)
+    _instance(f"{field}.visibility", light.visibility, RayVisibility)
 
 
 def _check_material(field: str, material: Material, texture_count: int, material_count: int) -> None:
@@ -256,6 +285,10 @@ def _check_instances(instances: Instances, meshes: list[_MeshFacts], material_co
     start = _array("instances.material_start", instances.material_start, np.int32, (count,))
     table = _array("instances.material_table", instances.material_table, np.int32, (None,))
     _indices("instances.material_table", table, material_count, "materials")
+    if instances.visibility is not None:
+        visibility = _array("instances.visibility", instances.visibility, np.uint8, (count,))
+        if visibility.max(initial=0) > RayVisibility.ALL:
+            raise _Invalid("instances.visibility", f"holds {visibility.max()}, which is no set of rays")
     slot_count = np.array([facts.slot_count for facts in meshes], np.int64)
     end = start.astype(np.int64) + slot_count[mesh] if count else np.zeros(0, np.int64)
     wrong = np.flatnonzero((start < 0) | (end > len(table)))

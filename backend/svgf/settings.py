@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import difflib
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from .errors import InputError
+from .light_paths import LIGHT_PATH_RANGES, LightPaths
 
 METHODS = ("svgf+", "svgf", "eaw", "none")
 SIGNALS = ("diffuse_specular", "direct_indirect")
@@ -146,7 +147,8 @@ class Settings:
     method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or
     "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
-    None: the scene's. denoise: DenoiseSettings.
+    None: the scene's. diffuse_bounces ... filter_glossy: see ``LightPaths``; None: the scene's. transparent_film: the
+    world is left out behind the scene; None: the scene's. denoise: DenoiseSettings.
     """
 
     width: int | None = None
@@ -158,6 +160,16 @@ class Settings:
     signals: str = "diffuse_specular"
     pixel_filter: str = "auto"
     exposure: float | None = None
+    diffuse_bounces: int | None = None
+    glossy_bounces: int | None = None
+    transmission_bounces: int | None = None
+    transparent_bounces: int | None = None
+    reflective_caustics: bool | None = None
+    refractive_caustics: bool | None = None
+    clamp_direct: float | None = None
+    clamp_indirect: float | None = None
+    filter_glossy: float | None = None
+    transparent_film: bool | None = None
     denoise: DenoiseSettings = field(default_factory=DenoiseSettings)
 
     def __post_init__(self) -> None:
@@ -173,6 +185,13 @@ class Settings:
                 _check_number(f"Settings.{name}", value, minimum, maximum, whole=True)
         if self.exposure is not None:
             _check_number("Settings.exposure", self.exposure, 0.0, 1e6, whole=False)
+        for name, (minimum, maximum) in LIGHT_PATH_RANGES.items():
+            value = getattr(self, name)
+            if value is not None:
+                _check_number(f"Settings.{name}", value, minimum, maximum, whole=isinstance(maximum, int))
+        for name in ("reflective_caustics", "refractive_caustics", "transparent_film"):
+            if getattr(self, name) not in (None, True, False):
+                raise InputError(f"Settings.{name} is {getattr(self, name)!r}.", "Give True, False or None.")
         check_name("Settings.method", self.method, METHODS)
         check_name("Settings.signals", self.signals, SIGNALS)
         check_name("Settings.pixel_filter", self.pixel_filter, PIXEL_FILTERS)
@@ -180,6 +199,11 @@ class Settings:
             raise InputError(
                 f"Settings.denoise is a {type(self.denoise).__name__}.", "Give a svgf.DenoiseSettings (svgf.settings)."
             )
+
+    def light_paths(self, of_scene: LightPaths) -> LightPaths:
+        """The scene's, with what is set here."""
+        own = {item.name: getattr(self, item.name) for item in fields(LightPaths)}
+        return replace(of_scene, **{name: value for name, value in own.items() if value is not None})
 
     @property
     def resolved_pixel_filter(self) -> str:

@@ -11,13 +11,17 @@ import bpy
 import numpy as np
 import pytest
 from blend import add_cube, add_light, add_material, add_mesh, add_world, animate, save
+from svgf.cli import app
 from svgf.errors import DeviceError, Interrupted
 from svgf.io import exr
+from svgf.passes import PASSES
 from svgf.renderer import Renderer
 from svgf.settings import Settings
 from svgf_blender import session
 from svgf_blender.engine import SVGFRenderEngine
 from svgf_blender.export import export_file
+from svgf_blender.ui.passes import unsupported_passes
+from typer.testing import CliRunner
 
 WIDTH, HEIGHT = 24, 14
 OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0, 0) else "IndexOB"
@@ -91,6 +95,76 @@ def test_still_is_what_python_renders(scene, tmp_path, engine_device):
     assert np.abs(vector[..., :2]).max() > 0.1 and not vector[..., 2:].any()
 
 
+def ask_for_every_pass(view_layer) -> None:
+    view_layer.use_pass_z = view_layer.use_pass_normal = view_layer.use_pass_vector = True
+    view_layer.use_pass_object_index = True
+    for item in view_layer.svgf.bl_rna.properties:
+        if item.type == "BOOLEAN":
+            setattr(view_layer.svgf, item.identifier, True)
+
+
+def test_final_render_is_what_the_command_line_renders(scene, tmp_path, engine_device):
+    """Every pass of an animation, to the bit: Blender's own files against `svgf render` of the exported scene."""
+    ask_for_every_pass(scene.view_layers[0])
+    assert bpy.ops.render.render(animation=True) == {"FINISHED"}
+    blend, exported = save(tmp_path / "shot.blend"), tmp_path / "shot.svgf"
+    for arguments in (
+        ["export", str(blend), "-o", str(exported), "--frames", "1-3"],
+        ["render", str(exported), "-o", str(tmp_path / "cli"), "--device", engine_device],
+    ):
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 0, result.stderr
+    for frame in (1, 2, 3):
+        ours = exr.read(tmp_path / f"frame_000{frame}.exr")
+        theirs = exr.read(tmp_path / "cli" / f"shot_000{frame}.exr")
+        assert len(theirs) == len(PASSES)
+        for name in PASSES:
+            shown = OBJECT_INDEX if name == "Object Index" else name
+            assert np.array_equal(exr.find_pass(ours, shown, ""), exr.find_pass(theirs, name, "")), name
+    assert exr.find_pass(theirs, "History Length", "").max() == 3
+
+
+def test_transparent_film(scene, tmp_path, engine_device):
+    """The plane hides half of the world, whose other half lets what is behind the image be seen."""
+    bpy.data.objects["Floor"].location.z = -3
+    scene.render.film_transparent = True
+    bpy.ops.render.render(write_still=True)
+    combined = exr.find_pass(rendered(tmp_path), "Combined", "")
+    (frame,) = from_python(save(tmp_path / "film.blend"), [1], engine_device)
+    assert np.array_equal(combined, np.dstack([frame.color, frame.alpha]))
+    assert combined[..., 3].min() == 0 and combined[..., 3].max() == 1
+    assert not combined[combined[..., 3] == 0].any()
+
+
+def test_compositor_gets_the_passes(scene, tmp_path):
+    if bpy.app.version < (5, 0, 0):
+        pytest.skip("compositors of Blender 4 are another kind of node tree")
+    scene.view_layers[0].use_pass_normal = True
+    tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    layers, output = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("NodeGroupOutput")
+    scene.compositing_node_group = tree
+    tree.links.new(layers.outputs["Normal"], output.inputs[0])
+    settings = scene.render.image_settings
+    settings.media_type, settings.file_format, settings.color_depth = "IMAGE", "OPEN_EXR", "32"
+    bpy.ops.render.render(write_still=True)
+    composite = exr.find_pass(rendered(tmp_path), "Combined", "")
+    scene.compositing_node_group = None
+    settings.media_type = "MULTI_LAYER_IMAGE"
+    bpy.ops.render.render(write_still=True)
+    assert np.array_equal(composite[..., :3], exr.find_pass(rendered(tmp_path), "Normal", ""))
+
+
+def test_passes_that_we_lack_are_named(scene):
+    view_layer = scene.view_layers[0]
+    assert unsupported_passes(view_layer) == ()
+    view_layer.use_pass_mist = view_layer.use_pass_diffuse_color = True
+    view_layer.aovs.add().name = "Mask"
+    (sentence,) = unsupported_passes(view_layer)
+    assert sentence.startswith('View layer "ViewLayer": passes are not supported yet and left out: ')
+    assert all(name in sentence for name in ("Mist", "Diffuse Color", "Mask (AOV)"))
+
+
 def test_passes_that_nobody_asks_for_are_not_there(scene, tmp_path):
     scene.view_layers[0].use_pass_z = False
     bpy.ops.render.render(write_still=True)
@@ -154,6 +228,27 @@ def test_render_region(scene, tmp_path):
     assert np.array_equal(framed[:7, 6:18], whole[:7, 6:18]) and not framed[7:].any()
 
 
+@pytest.mark.parametrize("border", [(0.1, 0.7, 0.3, 0.9), (0.29, 0.58, 0.57, 0.86), (0.05, 0.95, 0.0, 0.35)])
+def test_render_region_of_any_size(scene, tmp_path, border):
+    """Blender rounds in float32, and refuses a result of another size in silence."""
+    scene.render.resolution_x, scene.render.resolution_y = 50, 30
+    bpy.ops.render.render(write_still=True)
+    whole = exr.find_pass(rendered(tmp_path), "Combined", "")
+    render = scene.render
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = border
+    bpy.ops.render.render(write_still=True)
+    part = exr.find_pass(rendered(tmp_path), "Combined", "")
+    left, top = round(border[0] * 50), 30 - round(border[3] * 30)
+    found = [
+        (x, y)
+        for x in range(max(left - 1, 0), left + 2)
+        for y in range(max(top - 1, 0), top + 2)
+        if np.array_equal(whole[y : y + part.shape[0], x : x + part.shape[1]], part)
+    ]
+    assert len(found) == 1
+
+
 def test_stereo_is_refused(scene):
     scene.render.use_multiview = True
     with pytest.raises(RuntimeError, match="Stereo rendering is not supported. Turn"):
@@ -186,24 +281,71 @@ def test_fault_of_ours_is_said(scene, monkeypatch):
         bpy.ops.render.render()
 
 
-def test_cancel(monkeypatch):
-    """Esc while the renderer works: it is interrupted at once."""
+@pytest.fixture
+def running(monkeypatch):
+    """A session whose renderer works until `stopped` is set; the second is what sets it in place of an interrupt."""
     stopped = threading.Event()
 
-    def endless(self, *arguments):
+    def endless(self, scene, progress):
         assert stopped.wait(10)
         raise Interrupted("Stopped.")
 
     monkeypatch.setattr(Renderer, "__init__", lambda self, settings, device: setattr(self, "settings", settings))
     monkeypatch.setattr(Renderer, "render", endless)
-    monkeypatch.setattr(Renderer, "interrupt", lambda self: stopped.set())
-    presses = iter([False, False, True])
-    engine = SimpleNamespace(test_break=lambda: next(presses), update_progress=lambda share: None)
+    monkeypatch.setattr(Renderer, "interrupt", lambda self: None)
     running = session.Session()
     future = running.start(None, Settings(), "reference")
-    with pytest.raises(Interrupted):
-        SVGFRenderEngine._wait(engine, running, future)
+    yield running, future, stopped
+    stopped.set()
     running.close()
+    running.join()
+
+
+def engine_where_esc_is_pressed():
+    presses = iter([False, False, True])
+    return SimpleNamespace(test_break=lambda: next(presses), update_progress=lambda share: None)
+
+
+def test_cancel(running, monkeypatch):
+    """Esc while the renderer works: it is interrupted at once."""
+    job, future, stopped = running
+    monkeypatch.setattr(Renderer, "interrupt", lambda self: stopped.set())
+    with pytest.raises(Interrupted):
+        SVGFRenderEngine._wait(engine_where_esc_is_pressed(), job, future, 1)
+    assert future.done() and not job.busy
+
+
+def test_cancel_while_nothing_can_stop_the_renderer(running, monkeypatch):
+    """A tree is built to its end. Blender goes on without it, and the next job gets a device of its own."""
+    job, future, stopped = running
+    device = session._device("reference")
+    with pytest.raises(Interrupted):
+        SVGFRenderEngine._wait(engine_where_esc_is_pressed(), job, future, 1)
+    assert job.busy
+    job.close()
+    assert job.busy and session._device("reference") is not device
+    stopped.set()
+    job.join()
+    assert not job.busy and job._renderer is None
+
+
+def test_esc_before_the_renderer_has_begun(engine_device, monkeypatch):
+    """Such an interrupt is forgotten by the frame that begins; the frame ends all the same."""
+    job = session.Session()
+    monkeypatch.setattr(Renderer, "render", lambda self, scene, progress: progress(0.5))
+    job.stop()
+    with pytest.raises(Interrupted):
+        job.start(None, Settings(), engine_device).result()
+    job.close()
+
+
+def test_esc_while_a_scene_is_exported(scene, monkeypatch):
+    """No mesh is read after it, and Blender's next job is as good as new."""
+    exporter = session.Exporter()
+    exporter.should_stop = lambda: True
+    with pytest.raises(Interrupted):
+        exporter.export(bpy.context.evaluated_depsgraph_get())
+    assert exporter.counters.meshes == 0
 
 
 def test_interrupted_frame_is_no_error(scene, monkeypatch):

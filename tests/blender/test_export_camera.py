@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from blend import add_camera, add_mesh, export
 from mathutils import Matrix
+from svgf.light_paths import LightPaths
+from svgf.scene import Projection
 
 SIZES = [(1920, 1080), (1080, 1920), (512, 512), (1, 1), (37, 101)]
 SENSORS = [("AUTO", 36, 24), ("HORIZONTAL", 36, 24), ("VERTICAL", 36, 24), ("AUTO", 20, 30), ("VERTICAL", 20, 30)]
@@ -98,18 +100,55 @@ def test_clip_distances():
     assert export().camera.clip == (0.5, 250)
 
 
-def test_what_is_not_simulated_is_named():
+def test_orthographic_window_is_in_metres():
     add_mesh()
     data = bpy.context.scene.camera.data
-    data.type = "ORTHO"
-    data.dof.use_dof = True
-    render = bpy.context.scene.render
-    render.use_motion_blur = render.use_border = render.film_transparent = True
+    data.type, data.ortho_scale, data.shift_x = "ORTHO", 6.0, 0.25
+    camera = export(size=(200, 100)).camera
+    assert camera.projection is Projection.ORTHOGRAPHIC
+    assert np.allclose(camera.window, (-1.5, 4.5, -1.5, 1.5))
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_aperture(kind):
+    mesh = add_mesh(location=(1, 2, 3))
+    camera = bpy.context.scene.camera
+    data = camera.data
+    assert export().camera.aperture.radius == 0
+    data.type, data.lens, data.dof.use_dof = kind, 40, True
+    data.dof.aperture_fstop, data.dof.focus_distance = 2.0, 7.0
+    data.dof.aperture_blades, data.dof.aperture_rotation, data.dof.aperture_ratio = 5, 0.4, 1.5
+    aperture = export().camera.aperture
+    assert aperture.radius == pytest.approx(0.01 if kind == "PERSP" else 0.25)
+    assert (aperture.focus_distance, aperture.blades) == (7.0, 5)
+    assert (aperture.rotation, aperture.ratio) == pytest.approx((0.4, 1.5))
+    data.dof.focus_object = mesh
+    # The camera at (0, -10, 0) looks along +Y.
+    assert export().camera.aperture.focus_distance == pytest.approx(12.0, rel=1e-6)
+
+
+def test_light_paths_are_those_of_cycles():
+    add_mesh()
+    scene = bpy.context.scene
+    if not hasattr(scene, "cycles"):
+        pytest.skip("The Cycles add-on is disabled.")
+    cycles = scene.cycles
+    cycles.diffuse_bounces, cycles.glossy_bounces, cycles.transmission_bounces = 1, 2, 3
+    cycles.transparent_max_bounces, cycles.caustics_reflective, cycles.caustics_refractive = 4, False, False
+    cycles.sample_clamp_direct, cycles.sample_clamp_indirect, cycles.blur_glossy = 5.0, 6.0, 0.5
+    scene.render.film_transparent = True
+    defaults = export().defaults
+    assert defaults.light_paths == LightPaths(1, 2, 3, 4, False, False, 5.0, 6.0, 0.5)
+    assert defaults.transparent_film
+
+
+def test_what_is_not_simulated_is_named():
+    add_mesh()
+    bpy.context.scene.camera.data.type = "PANO"
+    bpy.context.scene.render.use_motion_blur = True
     warnings = "\n".join(export().warnings)
-    assert 'Camera "Camera": orthographic cameras are not supported yet; a perspective one is used instead.' in warnings
-    assert 'Camera "Camera": depth of field is not supported yet' in warnings
-    for feature in ("motion blur", "the render region", "a transparent film"):
-        assert f'Scene "Scene": {feature} is not supported yet' in warnings
+    assert 'Camera "Camera": panoramic cameras are not supported yet; a perspective one is used instead.' in warnings
+    assert 'Scene "Scene": motion blur is not supported yet' in warnings
 
 
 def test_another_camera_is_a_cut(tmp_path):

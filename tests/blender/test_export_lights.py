@@ -7,7 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from blend import add_image, add_light, add_mesh, add_world, export, validate
-from svgf.scene import LightKind
+from mathutils import Euler
+from svgf.scene import LightKind, RayVisibility
 
 
 @pytest.fixture(autouse=True)
@@ -126,17 +127,35 @@ def test_portals_are_no_lamps():
     if not hasattr(lamp.data, "cycles"):
         pytest.skip("The Cycles add-on is disabled.")
     lamp.data.cycles.is_portal = True
-    assert not export().lights
+    scene = export()
+    assert not scene.lights
+    assert scene.warnings == ('Object "Lamp": a portal only guides Cycles\' sampling; it is not needed and left out.',)
 
 
 def test_what_lamps_do_that_is_not_simulated():
-    add_light("AREA", "Spread", spread=1.0)
-    add_light("SUN", "Ghost", use_shadow=False, energy=-1).visible_camera = True
+    add_light("SUN", "Ghost", use_shadow=False, energy=-1)
+    lamp = add_light("POINT", "Grouped")
+    lamp.lightgroup = "Key"
+    if hasattr(lamp.data, "cycles"):
+        lamp.data.cycles.max_bounces = 2
     warnings = export().warnings
-    for name, feature in (("Spread", "the spread"), ("Ghost", "a lamp without shadows"), ("Ghost", "negative light")):
+    for name, feature in (("Ghost", "a lamp without shadows"), ("Ghost", "negative light"), ("Grouped", "a limit on")):
         assert sum(warning.startswith(f'Light "{name}": {feature}') for warning in warnings) == 1
-    assert sum(warning.startswith('Object "Ghost": a lamp that the camera sees') for warning in warnings) == 1
+    assert sum(warning.startswith('Object "Grouped": light groups') for warning in warnings) == 1
     assert len(warnings) == 4
+
+
+@pytest.mark.parametrize("spread", [1.0, np.pi])
+def test_spread(spread):
+    add_light("AREA", spread=spread)
+    assert only_light().spread == pytest.approx(spread)
+
+
+def test_ray_visibility_of_lamps():
+    lamp = add_light("POINT", shadow_soft_size=0.5)
+    assert not only_light().visibility & RayVisibility.CAMERA  # Blender hides new lamps
+    lamp.visible_camera, lamp.visible_glossy = True, False
+    assert only_light().visibility == RayVisibility.ALL & ~RayVisibility.GLOSSY
 
 
 def test_world_color():
@@ -152,19 +171,79 @@ def test_world_without_surface_is_black():
     assert export().world.radiance == (0, 0, 0)
 
 
-def test_environment_image_becomes_its_mean():
-    world = add_world(strength=0.5)
-    pixels = np.zeros((64, 4, 4))
-    pixels[32:] = (4, 2, 1, 1)  # the upper half of the sky
+def link_sky(world, pixels, color_space="Linear Rec.709", is_float=True):
+    """An Environment Texture in place of the world's colour."""
     node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
-    node.image = add_image("Sky", pixels, "Linear Rec.709", is_float=True)
+    node.image = add_image("Sky", pixels, color_space, is_float)
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     world.node_tree.links.new(node.outputs[0], background.inputs["Color"])
+    return node
+
+
+def sky_pixels() -> np.ndarray:
+    pixels = np.random.default_rng(1).uniform(0, 4, (8, 16, 4))
+    pixels[..., 3] = 1
+    return pixels
+
+
+def test_environment_image_keeps_its_texels():
+    pixels = sky_pixels()
+    link_sky(add_world(strength=0.5), pixels)
     scene = export()
-    assert np.allclose(scene.world.radiance, (1, 0.5, 0.25), rtol=1e-3)
-    assert scene.warnings == (
-        'World "World": the environment image "Sky" is not supported yet; its mean colour is used instead.',
-    )
+    validate(scene)
+    assert not scene.warnings
+    texture = scene.textures[scene.world.environment]
+    np.testing.assert_allclose(texture.pixels[..., :3], pixels[..., :3] / 2, rtol=2e-4, atol=2e-4)
+    assert scene.world.radiance == (1, 1, 1)
+    assert export().textures[0] is not None
+
+
+@pytest.mark.parametrize("kind", ["POINT", "TEXTURE"])
+def test_environment_is_turned_by_its_mapping(kind):
+    pixels = sky_pixels()
+    world = add_world(strength=1.0)
+    image = link_sky(world, pixels)
+    tree = world.node_tree
+    mapping, coordinates = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
+    mapping.vector_type = kind
+    mapping.inputs["Rotation"].default_value = (0.3, -0.2, 1.0)
+    mapping.inputs["Scale"].default_value = (2, 2, 2)
+    tree.links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs[0], image.inputs["Vector"])
+    scene = export()
+    rotation = np.array(Euler((0.3, -0.2, 1.0)).to_matrix())
+    expected = rotation if kind == "POINT" else rotation.T
+    np.testing.assert_allclose(np.reshape(scene.world.world_to_environment, (3, 3)), expected, atol=1e-5)
+    np.testing.assert_allclose(scene.textures[0].pixels[..., :3], pixels[..., :3], rtol=2e-4, atol=2e-4)
+
+
+def test_any_tree_of_the_direction_is_baked():
+    """A gradient from the horizon up, mixed with a colour."""
+    world = add_world(color=(0.5, 0.5, 0.5), strength=1.0)
+    tree = world.node_tree
+    coordinates, separate = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeSeparateXYZ")
+    tree.links.new(coordinates.outputs["Generated"], separate.inputs[0])
+    first = next(node for node in tree.nodes if node.type == "BACKGROUND")
+    second, mix = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeMixShader")
+    second.inputs["Color"].default_value = (0, 0, 2, 1)
+    tree.links.new(separate.outputs["Z"], mix.inputs[0])
+    tree.links.new(first.outputs[0], mix.inputs[1])
+    tree.links.new(second.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    scene = export()
+    assert not scene.warnings
+    pixels = scene.textures[scene.world.environment].pixels
+    height = np.sin(((np.arange(len(pixels)) + 0.5) / len(pixels) - 0.5) * np.pi).clip(0)
+    np.testing.assert_allclose(pixels[:, 3, 0], 0.5 * (1 - height), atol=1e-5)
+    np.testing.assert_allclose(pixels[:, 7, 2], 0.5 * (1 - height) + 2 * height, atol=1e-5)
+
+
+def test_ray_visibility_of_the_world():
+    world = add_world()
+    if not hasattr(world, "cycles_visibility"):
+        pytest.skip("The Cycles add-on is disabled.")
+    world.cycles_visibility.camera = False
+    assert export().world.visibility == RayVisibility.ALL & ~RayVisibility.CAMERA
 
 
 def test_other_world_nodes_are_named():
@@ -172,7 +251,7 @@ def test_other_world_nodes_are_named():
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     world.node_tree.links.new(world.node_tree.nodes.new("ShaderNodeTexSky").outputs[0], background.inputs["Color"])
     (warning,) = export().warnings
-    assert warning.startswith('World "World": node "Sky Texture" (Sky Texture) is not supported yet')
+    assert warning.startswith('World "World": node "Sky Texture" (Sky Texture)')
 
 
 def test_lamps_are_instanced_and_hidden_like_objects():

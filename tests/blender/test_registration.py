@@ -12,6 +12,8 @@ import pytest
 import svgf_blender
 from svgf import __version__
 from svgf.errors import InputError
+from svgf.light_paths import LIGHT_PATH_RANGES, LightPaths
+from svgf.scene import RenderDefaults
 from svgf.settings import DenoiseSettings, Settings
 
 HANDLERS = ("render_init", "render_complete", "render_cancel", "load_pre", "undo_post", "redo_post")
@@ -21,8 +23,8 @@ def state() -> tuple:
     """All that registration may change."""
     panels = bpy.types.Panel.__subclasses__()
     return (
-        hasattr(bpy.types.Scene, "svgf"),
-        {panel.__name__ for panel in panels if "SVGF" in getattr(panel, "COMPAT_ENGINES", ())},
+        hasattr(bpy.types.Scene, "svgf") or hasattr(bpy.types.ViewLayer, "svgf"),
+        {panel.__name__ for panel in panels if panel.is_registered and "SVGF" in getattr(panel, "COMPAT_ENGINES", ())},
         "SVGF"
         in {getattr(kind, "bl_idname", "") for kind in bpy.types.RenderEngine.__subclasses__() if kind.is_registered},
         [len(getattr(bpy.app.handlers, name)) for name in HANDLERS],
@@ -30,7 +32,6 @@ def state() -> tuple:
 
 
 def test_ten_times():
-    # Our own panel classes know their engine whether they are registered or not.
     before = state()
     for _ in range(10):
         svgf_blender.register()
@@ -54,16 +55,17 @@ def test_defaults_are_those_of_the_settings(registered):
 
 
 def test_every_property_has_description_and_range(registered):
-    groups = (bpy.context.scene.svgf, bpy.context.scene.svgf.denoise)
+    settings = bpy.context.scene.svgf
+    groups = (settings, settings.denoise, settings.light_paths, bpy.context.view_layer.svgf)
     for group in groups:
         for item in group.bl_rna.properties:
-            if item.identifier in {"rna_type", "name", "denoise"}:
+            if item.identifier in {"rna_type", "name"} or item.type == "POINTER":
                 continue
             assert item.description and item.name, item.identifier
             assert not item.description.endswith("."), item.identifier
             if item.type in {"INT", "FLOAT"}:
                 assert item.hard_min > -1e9 and item.hard_max < 1e10, item.identifier
-            else:
+            elif item.type == "ENUM":
                 assert all(choice.description for choice in item.enum_items), item.identifier
 
 
@@ -74,6 +76,43 @@ def test_denoise_properties_are_the_settings_fields(registered):
         assert shown.hard_min == pytest.approx(item.metadata["minimum"])
         assert shown.hard_max == pytest.approx(item.metadata["maximum"])
         assert item.metadata["meaning"].rstrip(".") in shown.description
+
+
+def test_light_paths_are_the_scenes_until_it_has_some_for_svgf(registered):
+    settings = bpy.context.scene.svgf
+    assert settings.to_settings().bounces is None and settings.to_settings().clamp_indirect is None
+    settings.use_own_light_paths = True
+    own = settings.to_settings()
+    assert own.light_paths(LightPaths(glossy_bounces=1)) == LightPaths() and own.bounces == RenderDefaults.bounces
+    settings.light_paths.bounces, settings.light_paths.clamp_indirect = 3, 0.7
+    assert (settings.to_settings().bounces, settings.to_settings().clamp_indirect) == (3, 0.7)
+
+
+def test_ranges_of_light_paths_are_those_of_the_settings(registered):
+    shown = bpy.context.scene.svgf.light_paths.bl_rna.properties
+    for name, ends in LIGHT_PATH_RANGES.items():
+        assert (shown[name].hard_min, shown[name].hard_max) == ends
+
+
+def test_quality_sets_samples_and_is_found_again(registered):
+    settings = bpy.context.scene.svgf
+    assert settings.quality == "balanced"
+    for name in ("draft", "final", "balanced"):
+        settings.quality = name
+        assert settings.quality == name
+    settings.viewport_samples += 1
+    assert settings.quality == "custom"
+    before = settings.viewport_samples
+    settings.quality = "custom"
+    assert settings.viewport_samples == before
+
+
+def test_quality_is_kept_in_the_file(registered, tmp_path):
+    bpy.context.scene.svgf.quality = "final"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "quality.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "quality.blend"))
+    assert bpy.context.scene.svgf.quality == "final"
 
 
 @pytest.mark.parametrize("name", ["samples", "seed"])

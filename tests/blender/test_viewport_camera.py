@@ -7,7 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from blend import add_camera, add_mesh, export
-from svgf_blender.viewport.camera import ORTHOGRAPHIC_NOTE, same_camera, view_camera
+from svgf.scene import Camera, Projection
+from svgf_blender.viewport.camera import border_in_frame, cut_out, same_camera, view_camera
 
 
 def matrices(camera, width=96, height=54):
@@ -25,29 +26,54 @@ def test_is_the_camera_that_a_render_exports(fit):
     camera.data.shift_x, camera.data.shift_y = 0.2, -0.1
     view = view_camera(*matrices(camera), (0.1, 100.0))
     expected = export(size=(96, 54)).camera
-    assert view.note == "" and view.camera.clip == (0.1, 100.0)
-    assert view.camera.window == pytest.approx(expected.window, rel=1e-5)
-    assert np.allclose(view.camera.camera_to_world, expected.camera_to_world, atol=1e-6)
+    assert view.clip == (0.1, 100.0)
+    assert view.window == pytest.approx(expected.window, rel=1e-5)
+    assert np.allclose(view.camera_to_world, expected.camera_to_world, atol=1e-6)
 
 
-def test_orthographic_view_is_a_long_lens():
-    """Points of the middle plane are where they belong, points before and behind it nearly so."""
+def test_orthographic_view():
     camera = add_camera((0, -10, 0))
     camera.data.type, camera.data.ortho_scale = "ORTHO", 6.0
-    view_matrix, window_matrix = matrices(camera, 60, 60)
-    view = view_camera(view_matrix, window_matrix, (0.1, 100.0))
-    assert view.note == ORTHOGRAPHIC_NOTE
-    left, right, bottom, top = view.camera.window
-    for point in [(2.0, 0.0, -1.0), (2.0, 5.0, -1.0), (-3.0, 3.0, 3.0)]:
-        local = view.camera.camera_to_world[:, :3].T @ (point - view.camera.camera_to_world[:, 3])
-        assert view.camera.clip[0] < -local[2] < view.camera.clip[1]
-        u, v = local[:2] / -local[2]
-        x, y = (2 * u - left - right) / (right - left), (2 * v - bottom - top) / (top - bottom)
-        assert (x, y) == pytest.approx((point[0] / 3, point[2] / 3), abs=0.02)
+    view = view_camera(*matrices(camera, 60, 40), (0.1, 100.0))
+    assert view.projection is Projection.ORTHOGRAPHIC
+    assert view.window == pytest.approx((-3, 3, -2, 2), rel=1e-5)
+    assert view.clip == pytest.approx((0.1, 1000.0), rel=1e-3) and view.camera_to_world[1, 3] == -10
+
+
+def test_orthographic_view_sees_what_is_behind_its_centre():
+    """As Blender's matrices of a user's view from above, which clip 100 metres before and behind what it orbits."""
+    matrix = np.diag([0.5, 1.0, -0.01, 1.0])
+    view = view_camera(np.eye(4), matrix, (0.1, 50.0))
+    assert view.camera_to_world[:, 3] == pytest.approx((0, 0, 100)) and view.clip == pytest.approx((0, 200))
+    assert view.window == pytest.approx((-2, 2, -1, 1))
+
+
+def test_border_is_cut_out_in_whole_pixels():
+    camera = Camera(np.eye(3, 4), (-1.0, 1.0, -0.5, 0.5))
+    view = cut_out(camera, (100, 50), (0.255, 0.0, 0.5, 0.5))
+    assert view.size == (25, 25) and view.part == (0.25, 0.0, 0.5, 0.5)
+    assert view.camera.window == pytest.approx((-0.5, 0.0, -0.5, 0.0))
+    whole = cut_out(camera, (100, 50), (-1.0, -1.0, 2.0, 2.0))
+    assert whole.size == (100, 50) and whole.camera.window == camera.window
+    outside = cut_out(camera, (100, 50), (1.2, 1.2, 1.5, 1.5))
+    assert outside.size == (1, 1)
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_border_of_a_camera(kind):
+    """Through a window of twice the picture's size, its left half is a quarter of the view."""
+    camera = add_camera()
+    camera.data.type = kind
+    view_matrix, window_matrix = matrices(camera)
+    half = np.diag([0.5, 0.5, 1.0, 1.0]) @ np.array(window_matrix)
+    bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 96, 54
+    frame = np.array(camera.data.view_frame(scene=bpy.context.scene))
+    part = border_in_frame(half, frame, (0.0, 0.0, 0.5, 1.0))
+    assert part == pytest.approx((0.25, 0.25, 0.5, 0.75), abs=1e-5)
 
 
 def test_same_camera():
     view_matrix, window_matrix = matrices(add_camera())
-    first, second = (view_camera(view_matrix, window_matrix, (0.1, 100.0)).camera for _ in range(2))
+    first, second = (view_camera(view_matrix, window_matrix, (0.1, 100.0)) for _ in range(2))
     assert first is not second and same_camera(first, second)
-    assert not same_camera(first, view_camera(view_matrix, window_matrix, (0.1, 50.0)).camera)
+    assert not same_camera(first, view_camera(view_matrix, window_matrix, (0.1, 50.0)))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from operator import attrgetter
 
 import bpy
 import numpy as np
@@ -12,10 +12,12 @@ from blend import add_cube, add_image, add_light, add_material, add_mesh, add_wo
 from svgf.scene import Camera, RenderDefaults
 from svgf.settings import Settings
 from svgf_blender.viewport.camera import View
+from svgf_blender.viewport.picture import Look
 from svgf_blender.viewport.session import ViewSession
 
-FIRST = View(Camera(np.eye(3, 4), (-1.0, 1.0, -0.5, 0.5)))
-SECOND = View(Camera(np.eye(3, 4), (-0.9, 1.1, -0.5, 0.5)), "A note.")
+counts = attrgetter("exports", "full", "meshes", "instances", "materials", "lights")
+FIRST = View(Camera(np.eye(3, 4), (-1.0, 1.0, -0.5, 0.5)), (24, 12))
+SECOND = View(Camera(np.eye(3, 4), (-0.9, 1.1, -0.5, 0.5)), (24, 12))
 SIZE = RenderDefaults(24, 12, bounces=1)
 
 
@@ -25,7 +27,7 @@ class RecordingWorker:
     def __init__(self) -> None:
         from svgf_blender.viewport.worker import Result
 
-        self.requests, self.result = [], Result()
+        self.requests, self.result, self.busy = [], Result(), False
 
     def submit(self, request) -> None:
         self.requests.append(request)
@@ -58,22 +60,22 @@ def session(world):
 
 
 def show(session, view=FIRST, defaults=SIZE, **changes):
-    options = {"settings": Settings(), "device": "cpu", "sample_limit": 4, "overlay": "result", **changes}
+    options = {"settings": Settings(), "device": "cpu", "sample_limit": 4, "look": Look(), "budget": 0, **changes}
     session.show(view, defaults, *options.values())
     return session._worker.requests
 
 
 def exported(session, change) -> tuple:
     """How much (exports, full ones, meshes, instances, materials, lights) a change costs."""
-    before = astuple(session.counters)
+    before = counts(session.counters)
     change()
     bpy.context.view_layer.update()
     assert not session.error
-    return tuple(after - then for after, then in zip(astuple(session.counters), before, strict=True))
+    return tuple(after - then for after, then in zip(counts(session.counters), before, strict=True))
 
 
 def test_first_export_is_of_everything(session):
-    assert astuple(session.counters) == (1, 1, 2, 2, 2, 1)
+    assert counts(session.counters) == (1, 1, 2, 2, 2, 1)
 
 
 def objects():
@@ -143,7 +145,6 @@ def test_same_picture_is_asked_for_once(session):
     assert len(show(session)) == 1, "A selection changes no picture."
     show(session, SECOND)
     assert requests[1].scene.meshes is requests[0].scene.meshes and session.counters.full == 1
-    assert session.warnings[0] == "A note."
 
 
 def test_selection_after_a_move_changes_no_picture(session):
@@ -156,7 +157,7 @@ def test_selection_after_a_move_changes_no_picture(session):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"settings": Settings(seed=1)}, {"device": "reference"}, {"sample_limit": 9}, {"overlay": "normal"}],
+    [{"settings": Settings(seed=1)}, {"device": "reference"}, {"sample_limit": 9}, {"look": Look("normal")}],
     ids=lambda changes: next(iter(changes)),
 )
 def test_options_make_a_request_but_no_scene(session, changes):
@@ -174,7 +175,7 @@ def test_engine_that_has_not_seen_all_exports_all(session):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     show(session)
     session.sync(depsgraph, None, whole=True)
-    assert astuple(session.counters) == (2, 2, 4, 2, 2, 1), "Read again, and found to be the same."
+    assert counts(session.counters) == (2, 2, 4, 2, 2, 1), "Read again, and found to be the same."
     assert len(show(session)) == 1
 
 
@@ -190,7 +191,7 @@ def test_failed_export_is_shown_and_made_up_for(session, monkeypatch):
 
     show(session)
     with monkeypatch.context() as patched:
-        patched.setattr(exporter, "collect", lambda *_: 1 / 0)
+        patched.setattr(exporter.Exporter, "export_view", lambda *_: 1 / 0)
         objects()["Cube"].location.x = 1
         bpy.context.view_layer.update()
         assert "ZeroDivisionError" in session.error and session.error == session.status()
@@ -198,3 +199,16 @@ def test_failed_export_is_shown_and_made_up_for(session, monkeypatch):
     objects()["Cube"].location.x = 2
     bpy.context.view_layer.update()
     assert session.error == "" and len(show(session)) == 2
+
+
+def test_budget_makes_the_picture_coarser_while_the_view_moves(session, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("svgf_blender.viewport.session.time.monotonic", lambda: now[0])
+    first = show(session, budget=50)[-1].scene.defaults
+    assert (first.width, first.height) == (6, 3) and session.busy and "1/4" not in session.status()
+    now[0] = 1.0
+    assert session.has_news, "A draw asks for the whole resolution."
+    whole = show(session, budget=50)[-1].scene.defaults
+    assert (whole.width, whole.height) == (24, 12)
+    assert show(session, SECOND, budget=50)[-1].scene.defaults.width == 6
+    assert show(session, SECOND, budget=0)[-1].scene.defaults.width == 24

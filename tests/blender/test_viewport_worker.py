@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from blend import add_cube, add_light, export
 from svgf.devices import available_devices
+from svgf.effects import Effects, find_effects
 from svgf.errors import DeviceError, InputError, Interrupted
 from svgf.settings import Settings
 from svgf_blender.viewport import worker as module
-from svgf_blender.viewport.picture import OVERLAYS, paint
+from svgf_blender.viewport.picture import OVERLAYS, RESET_COLORS, Look, find_bad_values, paint
 from svgf_blender.viewport.worker import Request, Worker
 
 DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.available and info.name == "cpu")
@@ -107,9 +108,9 @@ def test_still_view_becomes_what_a_final_render_is(worker, scene):
 
 def test_overlay_paints_the_same_frame_again(worker, scene):
     first = ask(worker, scene)
-    second = ask(worker, scene, overlay="normal")
+    second = ask(worker, scene, look=Look("normal"))
     assert second.frame is first.frame and second.number == first.number + 1
-    assert np.array_equal(second.picture, paint(first.frame, "normal"))
+    assert np.array_equal(second.picture, paint(first.frame, Look("normal")))
 
 
 def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
@@ -117,19 +118,20 @@ def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
     color = frame.color.copy()
     color[0, 0], color[0, 1] = (np.nan, np.inf, 1e9), (-1, 0, -np.inf)
     for overlay in OVERLAYS:
-        picture = paint(replace(frame, color=color), overlay)
+        picture = paint(replace(frame, color=color), Look(overlay))
         assert picture.shape == (14, 24, 4) and picture.dtype == np.float32 and picture.flags.c_contiguous
         assert np.isfinite(picture.astype(np.float16)).all() and picture.min() >= 0 and (picture[..., 3] == 1).all()
-    picture = paint(replace(frame, color=color), "result")
+    picture = paint(replace(frame, color=color), Look())
     assert picture[-1, 0, :3].tolist() == [0, 65504, 65504], "The bottom row comes first."
 
 
 def test_overlays_of_an_empty_scene(worker, scene):
     instances = scene.instances
-    empty = replace(instances, **{name: getattr(instances, name)[:0] for name in vars(instances)})
+    rows = {name: rows[:0] for name, rows in vars(instances).items() if rows is not None}
+    empty = replace(instances, **rows)
     frame = ask(worker, replace(scene, meshes=(), instances=empty), limit=1).frame
     for overlay in OVERLAYS:
-        assert np.isfinite(paint(frame, overlay)).all()
+        assert np.isfinite(paint(frame, Look(overlay))).all()
 
 
 def test_error_is_shown_and_the_next_request_goes_on(worker, scene):
@@ -202,6 +204,94 @@ def test_requests_are_not_queued(worker, scene):
         worker.submit(Request(last, Settings(), DEVICE, 1))
     result = ask(worker, last, limit=1)
     assert result.scene.camera is last.camera and result.error == ""
+
+
+def test_other_size_interrupts_the_frame(worker, scene, monkeypatch):
+    """Its history is lost in any case, and a coarser picture is wanted at once."""
+    render, started, stopped = module.Renderer.render, threading.Event(), threading.Event()
+
+    def slow(self, scene):
+        if scene.defaults.width == 24 and not stopped.is_set():
+            started.set()
+            assert stopped.wait(10)
+            raise Interrupted("Stopped.")
+        return render(self, scene)
+
+    monkeypatch.setattr(module.Renderer, "render", slow)
+    monkeypatch.setattr(module.Renderer, "interrupt", lambda self: stopped.set())
+    worker.submit(Request(scene, Settings(), DEVICE, 4))
+    assert started.wait(10)
+    worker.submit(Request(replace(scene), Settings(), DEVICE, 4))
+    assert not stopped.is_set(), "A frame of the same size is finished."
+    small = replace(scene, defaults=replace(scene.defaults, width=12, height=7))
+    result = ask(worker, small)
+    assert stopped.is_set() and result.frame.width == 12 and result.error == "" and result.samples == 4
+
+
+def test_noise_of_a_mean_falls_with_its_samples(worker, scene):
+    few = ask(worker, scene, limit=4, settings=Settings(method="none")).noise
+    many = ask(worker, scene, limit=64, settings=Settings(method="none")).noise
+    assert many == pytest.approx(few / 4, rel=0.4)
+
+
+def test_split_screen(worker, scene):
+    frame = ask(worker, scene, limit=8).frame
+    noisy, result, split = (paint(frame, Look(name, split=0.5)) for name in ("noisy", "result", "split"))
+    assert np.array_equal(split[:, :11], noisy[:, :11]) and np.array_equal(split[:, 12:], result[:, 12:])
+    assert (split[:, 11] == 1).all()
+    assert np.array_equal(paint(frame, Look("split", split=0.0)), result)
+
+
+def test_transparent_film_lets_the_background_through(worker, scene):
+    scene = replace(scene, defaults=replace(scene.defaults, transparent_film=True))
+    frame = ask(worker, scene, limit=1).frame
+    background = frame.object_id[::-1] == 0
+    assert background.any() and not background.all()
+    picture = paint(frame, Look())
+    assert not picture[background].any() and (picture[~background, 3] > 0).all()
+    assert (paint(frame, Look("depth"))[..., 3] == 1).all(), "Data has no background."
+
+
+def test_bad_values_are_marked(worker, scene):
+    frame = ask(worker, scene, limit=1).frame
+    assert not find_bad_values(frame).any()
+    noisy, depth = frame.noisy.copy(), frame.depth.copy()
+    noisy[0, 0, 1], noisy[1, 2, 0], depth[3, 4] = np.nan, -1.0, np.inf
+    bad = find_bad_values(replace(frame, noisy=noisy, depth=depth))
+    assert np.argwhere(bad).tolist() == [[0, 0], [1, 2], [3, 4]]
+    marked = paint(replace(frame, noisy=noisy, depth=depth), Look("bad_values"))[::-1]
+    assert (marked[bad, 0] == 1).all() and (marked[~bad, 0] < 0.5).all()
+
+
+def test_reset_reasons(worker, scene):
+    """Each pixel says why it has no history, or that it has one."""
+    frame = ask(worker, scene, limit=8).frame
+    surface = frame.object_id > 0
+
+    def colors(frame):
+        return {tuple(color) for color in paint(frame, Look("reset_reason"))[::-1][surface][:, :3].tolist()}
+
+    def color(name):
+        return tuple(np.float32(RESET_COLORS[name][0]).tolist())
+
+    assert colors(frame) == {color("kept")}
+    assert colors(replace(frame, reset="a cut")) == {color("restarted")}
+    new = replace(frame, history_length=np.ones_like(frame.history_length))
+    assert colors(new) == {color("revealed")}
+    motion = frame.motion.copy()
+    motion[..., 0] = -frame.width
+    assert colors(replace(new, motion=motion)) == {color("entered")}
+
+
+def test_costs_of_effects_come_when_asked_for(worker, scene):
+    pytest.importorskip("svgf.bench.effects")
+    result = ask(worker, scene)
+    assert not result.costs
+    worker.measure_effects()
+    measured = ask(worker, scene)
+    assert Effects.AREA_LIGHTS in measured.costs and measured.costs.keys() <= set(find_effects(scene))
+    assert measured.frame is result.frame and not worker.busy, "Measured once, and no frame is rendered for it."
+    assert ask(worker, scene, limit=5).costs == measured.costs
 
 
 def test_stopped_worker_ends_by_itself(worker, scene):

@@ -32,7 +32,8 @@ from window import (
 )
 
 ENDLESS = 10**6  # samples, so that there is always a frame in the making
-LONGEST_BLOCK_SECONDS = 0.05
+LONGEST_BLOCK_SECONDS = 0.05  # of the main thread's own time
+LONGEST_WAIT_SECONDS = 0.5  # with what other programs on the machine take away
 
 
 def script() -> Iterator[float]:
@@ -43,28 +44,35 @@ def script() -> Iterator[float]:
             continue
         start_engine(samples=ENDLESS)
         yield from running()
-        measure.longest = 0.0
+        measure.reset()
         start = time.monotonic()
         yield from step()
-        blocked = f"blocked for {measure.longest * 1e3:.0f} ms at most"
+        blocked = f"at most {measure.longest_work * 1e3:.0f} ms of work, {measure.longest * 1e3:.0f} ms of time at once"
         print(f"{name}: {time.monotonic() - start:.1f} s, {blocked}, {memory_mb():.0f} MB", flush=True)
-        assert measure.longest < LONGEST_BLOCK_SECONDS or name in {"disable", "files"}, name
+        if name not in {"disable", "files"}:
+            assert measure.longest_work < LONGEST_BLOCK_SECONDS and measure.longest < LONGEST_WAIT_SECONDS, name
+    window().scene.render.engine = "BLENDER_WORKBENCH"
+    yield 1.0
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
 
 
 class Blocks:
-    """The longest time that Blender's main thread spends in the add-on at once."""
+    """The longest time that Blender's main thread spends in the add-on at once, and the longest that it works there."""
 
     def __init__(self) -> None:
-        self.longest = 0.0
+        self.reset()
         for name in ("update", "draw"):
             setattr(views, name, self._timed(getattr(views, name)))
 
+    def reset(self) -> None:
+        self.longest = self.longest_work = 0.0
+
     def _timed(self, function: Callable[..., None]) -> Callable[..., None]:
         def timed(*arguments) -> None:
-            start = time.perf_counter()
+            start, work = time.perf_counter(), time.thread_time()
             function(*arguments)
             self.longest = max(self.longest, time.perf_counter() - start)
+            self.longest_work = max(self.longest_work, time.thread_time() - work)
 
         return timed
 
@@ -267,8 +275,6 @@ def disable() -> Iterator[float]:
         yield from running()
     window().scene.svgf.viewport_samples = 1
     yield from settled()
-    window().scene.render.engine = "BLENDER_WORKBENCH"
-    yield 1.0
 
 
 STEPS = (

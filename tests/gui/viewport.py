@@ -68,7 +68,11 @@ def script() -> Iterator[float]:
         bpy.ops.view3d.view_camera()
     yield 1.0  # Blender turns the view smoothly
     yield from settled()
+    scene.svgf.viewport_overlay = "normal"
+    yield from settled()
     assert outline_matches(scene), "The camera's frame is where Blender draws it."
+    scene.svgf.viewport_overlay = "result"
+    yield from settled()
     yield from picture("camera")
     with override():
         bpy.ops.view3d.view_axis(type="TOP")
@@ -76,10 +80,10 @@ def script() -> Iterator[float]:
     space().region_3d.view_perspective = "ORTHO"
     yield 1.0
     yield from settled()
-    assert any("Orthographic" in warning for warning in session().warnings)
+    assert session().result.scene.camera.projection.name == "ORTHOGRAPHIC"
     yield from picture("orthographic")
 
-    scene.svgf.method = "none"
+    scene.svgf.method, scene.svgf.viewport_overlay = "none", "split"
     yield from settled()
     assert session().result.reset == "the settings changed"
     noisy, mean = session().result.frame.noisy, session().result.frame.color

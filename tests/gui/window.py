@@ -69,12 +69,12 @@ def override() -> object:
     return bpy.context.temp_override(window=window(), area=area, region=region)
 
 
-def start_engine(pixel_size: str = "4", samples: int = 8) -> bpy.types.Scene:
-    """SVGF in the first 3D view, coarse enough for a slow machine."""
+def start_engine(pixel_size: str = "4", samples: int = 8, budget: float = 0) -> bpy.types.Scene:
+    """SVGF in the first 3D view, coarse enough for a slow machine. budget: milliseconds; 0: in full resolution."""
     scene = window().scene
     scene.render.engine = "SVGF"
     scene.render.preview_pixel_size = pixel_size
-    scene.svgf.device, scene.svgf.viewport_samples = "cpu", samples
+    scene.svgf.device, scene.svgf.viewport_samples, scene.svgf.viewport_budget = "cpu", samples, budget
     space().shading.type = "RENDERED"
     return scene
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes that break renderers. On every device: finite, never negative, bounded in energy, and where the same scene can be
-had without its difficulty, the same picture."""
+"""Scenes that break renderers. On every device: finite, never negative, bounded in energy, and where the same scene can
+be had without its difficulty, the same picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 import pytest
 from svgf.renderer import Renderer
-from svgf.scene import LightKind, Material, World
+from svgf.scene import LightKind, Material, MaterialKind, World
 from svgf.settings import Settings
 
 from .. import scenes
@@ -74,7 +74,8 @@ def share_alike(a, b, tolerance):
 def test_far_from_the_origin(device, offset):
     scene = scenes.lamp_scene(scenes.lamp(LightKind.RECTANGLE))
     near, far = render(device, scene), render(device, scenes.move(scene, offset))
-    # The rows of a float64 transform at 1e6 m hold 1e-10 m: nothing but the rounding of paths that sit on an edge is left.
+    # The rows of a float64 transform at 1e6 m hold 1e-10 m: nothing but the rounding of paths that sit on an edge is
+    # left.
     assert share_alike(far.noisy, near.noisy, 1e-3) >= 0.99
     np.testing.assert_allclose(far.depth, near.depth, rtol=1e-4)
 
@@ -142,8 +143,21 @@ def test_hostile_triangles(device, kind):
         Material(base_color=(0, 0, 0), specular_ior_level=0.0),
         Material(base_color=(1, 1, 1), specular_ior_level=0.0),
         Material(ior=1000.0, specular_ior_level=1.0),
+        Material(ior=0.0, transmission=0.5, roughness=0.2),
+        Material(coat_weight=1.0, coat_roughness=0.0, coat_ior=1000.0, sheen_weight=1.0, sheen_roughness=0.0),
+        Material(coat_weight=1.0, coat_ior=0.0, coat_tint=(0.0, 0.5, 1.0), sheen_weight=1.0, sheen_roughness=1.0),
+        Material(metallic=1.0, roughness=1e-4, anisotropic=1.0),
+        Material(metallic=1.0, roughness=1.0, specular_tint=(0.0, 0.0, 0.0)),
+        Material(kind=MaterialKind.GLOSSY, roughness=0.1, anisotropic=-1.0),
+        Material(kind=MaterialKind.GLASS, roughness=1e-4, base_color=(1, 1, 1)),
+        Material(kind=MaterialKind.GLASS, roughness=1.0, base_color=(0, 0, 0)),
+        Material(kind=MaterialKind.REFRACTION, roughness=0.5, ior=1000.0),
+        Material(kind=MaterialKind.TRANSLUCENT, base_color=(1, 1, 1)),
+        Material(kind=MaterialKind.DIFFUSE, diffuse_roughness=1.0, base_color=(1, 1, 1)),
     ],
-    ids=lambda m: f"m{m.metallic:g}_r{m.roughness:g}_t{m.transmission:g}_ior{m.ior:g}_c{m.base_color[0]:g}",
+    ids=lambda m: (
+        f"{m.kind.name}_m{m.metallic:g}_r{m.roughness:g}_t{m.transmission:g}_ior{m.ior:g}_c{m.base_color[0]:g}"
+    ),
 )
 def test_furnace(device, material):
     """A body in a uniform world of radiance 1 never gives back more than it got."""
@@ -157,6 +171,24 @@ def test_furnace(device, material):
     # A sample may exceed 1 (its weight is value over probability); the mean of 8 over the body may not by much.
     assert frame.noisy[body].mean() <= 1.02
     np.testing.assert_allclose(frame.noisy[~body], 1.0, rtol=1e-5)
+
+
+def test_glass_within_glass(device):
+    """Balls of clear and of rough glass within each other, a diamond in the middle: no light is made."""
+    glasses = [
+        Material(kind=MaterialKind.GLASS, roughness=0.0, base_color=(1, 1, 1), ior=1.33),
+        Material(kind=MaterialKind.GLASS, roughness=0.5, base_color=(1, 1, 1), ior=1.5),
+        Material(kind=MaterialKind.GLASS, roughness=0.0, base_color=(1, 1, 1), ior=2.4),
+    ]
+    balls = [
+        (scenes.sphere(radius, rows=12), scenes.transform(), [glass])
+        for radius, glass in zip((0.9, 0.6, 0.3), glasses, strict=True)
+    ]
+    scene = scenes.build(balls, scenes.camera((0, -3, 0.3), (0, 0, 0)), world=World((1, 1, 1)))
+    frame = render(device, scene, dataclasses.replace(SMALL, bounces=48, samples=8, method="none"))
+    body = frame.object_id > 0
+    # Some paths are caught between the surfaces until their bounces are used up.
+    assert 0.8 < frame.noisy[body].mean() <= 1.02
 
 
 @pytest.mark.parametrize("power", [1e6, 1e12])

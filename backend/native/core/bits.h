@@ -16,6 +16,29 @@ SVGF_HD inline float float_from_bits(std::uint32_t bits) {
     return value;
 }
 
+SVGF_HD inline std::uint32_t bits_of(float value) {
+    std::uint32_t bits;
+    std::memcpy(&bits, &value, sizeof(bits));
+    return bits;
+}
+
+// x must not be 0.
+SVGF_HD inline int highest_set_bit(std::uint32_t x) {
+#if defined(__CUDA_ARCH__)
+    return 31 - __clz(int(x));
+#else
+    return 31 - std::countl_zero(x);
+#endif
+}
+
+SVGF_HD inline int count_set_bits(std::uint32_t x) {
+#if defined(__CUDA_ARCH__)
+    return __popc(x);
+#else
+    return std::popcount(x);
+#endif
+}
+
 // x must not be 0.
 SVGF_HD inline int lowest_set_bit(std::uint32_t x) {
 #if defined(__CUDA_ARCH__)

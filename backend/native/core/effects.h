@@ -26,7 +26,12 @@ enum class Effects : std::uint32_t {
     sheen = 1u << 13,
     anisotropy = 1u << 14,
     material_mixes = 1u << 15,
-    all = (1u << 16) - 1,
+    environment_map = 1u << 16,
+    depth_of_field = 1u << 17,
+    ray_visibility = 1u << 18,
+    light_path_limits = 1u << 19,
+    many_lights = 1u << 20,
+    all = (1u << 21) - 1,
 };
 
 SVGF_HD constexpr Effects operator|(Effects a, Effects b) { return Effects(std::uint32_t(a) | std::uint32_t(b)); }

@@ -3,19 +3,12 @@
 #pragma once
 
 #include <cstdint>
-#include <cstring>
 
 #include "core/approximate.h"
 #include "core/bits.h"
 #include "core/vec.h"
 
 namespace svgf {
-
-SVGF_HD inline uint32_t bits_of(float value) {
-    uint32_t bits;
-    std::memcpy(&bits, &value, sizeof(bits));
-    return bits;
-}
 
 // A float >= 0 with 7 bits of exponent and `mantissa` bits of mantissa: 0 and 2^-62 to 2^65, wider than half, good to
 // 2^-(mantissa + 1). Smaller ones become 0, larger ones the largest. noise in [0, 1): 1/2 rounds to nearest, a random

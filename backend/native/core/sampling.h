@@ -46,7 +46,16 @@ SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * 
 
 // Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. That of the
 // surface's material is far from all others.
-enum class SamplePair : std::uint32_t { pixel = 0, direction = 1, lobe_and_roulette = 2, light_point = 3, light = 4, surface = 1 << 16 };
+enum class SamplePair : std::uint32_t {
+    pixel = 0,
+    direction = 1,
+    lobe_and_roulette = 2,
+    light_point = 3,
+    light = 4,
+    surface = 1u << 16,
+    lens = 1u << 17,
+    shadow = 1u << 18,
+};
 
 // All random numbers of one sample of one pixel.
 struct Sampler {

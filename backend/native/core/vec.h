@@ -72,8 +72,19 @@ SVGF_HD inline float min_component(Vec3 a) { return min(a.x, min(a.y, a.z)); }
 SVGF_HD inline Vec3 abs(Vec3 a) { return {std::fabs(a.x), std::fabs(a.y), std::fabs(a.z)}; }
 SVGF_HD inline Vec3 lerp(Vec3 a, Vec3 b, float t) { return a + (b - a) * t; }
 
-SVGF_HD inline float dot(Vec2 a, Vec2 b) { return a.x * b.x + a.y * b.y; }
-SVGF_HD inline float dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+// a*b + c: in one rounding on the device, where two would be two instructions. For what need not have the same bits on
+// host and device. Kernels are compiled without contraction, so that nothing else is fused: what the compiler fuses
+// depends on the code around it, and the same path would have other bits in another kernel.
+SVGF_HD inline float multiply_add(float a, float b, float c) {
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return a * b + c;
+#endif
+}
+
+SVGF_HD inline float dot(Vec2 a, Vec2 b) { return multiply_add(a.y, b.y, a.x * b.x); }
+SVGF_HD inline float dot(Vec3 a, Vec3 b) { return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x)); }
 SVGF_HD inline Vec3 cross(Vec3 a, Vec3 b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }

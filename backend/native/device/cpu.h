@@ -20,6 +20,9 @@ namespace svgf {
 
 class Device : public std::enable_shared_from_this<Device> {
 public:
+    // Whether stage "path" takes all paths from vertex to vertex together, or one path after the other to its end.
+    static constexpr bool follows_paths_together = false;
+
     explicit Device(int index = 0);
     Device(const Device&) = delete;
     Device& operator=(const Device&) = delete;
@@ -67,13 +70,19 @@ public:
         });
     }
 
+    // The first *count indices, of at most `capacity`.
+    template <class Stage>
+    void launch_queue(const char* name, int capacity, const std::int32_t* count, const Stage& stage) {
+        launch(name, std::min(*count, capacity), stage);
+    }
+
     // For the same source as on CUDA; there are no streams here.
     struct StreamScope {
         StreamScope(Device&, std::optional<uintptr_t>) {}
     };
 
-    // Milliseconds per name since the last call, in launch order.
-    std::vector<std::pair<std::string, double>> take_timings() { return std::exchange(timings_, {}); }
+    // Milliseconds per stage since the last call, in launch order. Here every stage is one launch.
+    std::vector<std::pair<std::string, double>> take_timings(bool = false) { return std::exchange(timings_, {}); }
 
     // May be called from any thread: the stage that runs, or else the next one, throws Interrupted.
     void interrupt() { interrupted_ = true; }

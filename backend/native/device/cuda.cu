@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cstdlib>
+#include <string_view>
 
 #include "device/device.h"
 
@@ -14,6 +16,9 @@
 
 namespace svgf {
 namespace {
+
+// Of pinned host memory: kept for later, and in use. A frame's images in 4K are about 1 GiB.
+constexpr size_t most_free_pinned_bytes = size_t(512) << 20, most_used_pinned_bytes = size_t(1) << 30;
 
 std::string hint_for(cudaError_t error) {
     switch (error) {
@@ -168,6 +173,37 @@ void Device::download(void* host, const void* device, size_t bytes) {
     synchronize();
 }
 
+Device::PinnedBlocks::~PinnedBlocks() {
+    for (const auto& [bytes, data] : free) cudaFreeHost(data);
+}
+
+void Device::PinnedBlocks::give_back(void* data, size_t bytes) {
+    std::lock_guard lock(mutex);
+    used_bytes -= bytes;
+    if (free_bytes + bytes > most_free_pinned_bytes) {
+        cudaFreeHost(data);
+        return;
+    }
+    free.emplace(bytes, data);
+    free_bytes += bytes;
+}
+
+std::shared_ptr<void> Device::host_memory(size_t bytes) {
+    std::lock_guard lock(pinned_->mutex);
+    void* data = nullptr;
+    if (const auto found = pinned_->free.find(bytes); found != pinned_->free.end()) {
+        data = found->second;
+        pinned_->free.erase(found);
+        pinned_->free_bytes -= bytes;
+    } else if (pinned_->used_bytes + bytes > most_used_pinned_bytes ||
+               cudaHostAlloc(&data, bytes ? bytes : 1, cudaHostAllocDefault) != cudaSuccess) {
+        cudaGetLastError();
+        return {::operator new(bytes), [](void* memory) { ::operator delete(memory); }};
+    }
+    pinned_->used_bytes += bytes;
+    return {data, [blocks = pinned_, bytes](void* memory) { blocks->give_back(memory, bytes); }};
+}
+
 void Device::copy(void* to, const void* from, size_t bytes) {
     if (bytes) check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToDevice, stream()), last_stage_);
 }
@@ -207,7 +243,7 @@ void Device::end_stage(const char* name) {
     if (synchronize_each_stage_) check(cudaStreamSynchronize(stream()), name);
 }
 
-std::vector<std::pair<std::string, double>> Device::take_timings() {
+std::vector<std::pair<std::string, double>> Device::take_timings(bool by_launch) {
     synchronize();
     std::vector<std::pair<std::string, double>> timings;
     for (const auto& span : spans_) {
@@ -215,13 +251,14 @@ std::vector<std::pair<std::string, double>> Device::take_timings() {
         check(cudaEventElapsedTime(&milliseconds, span.begin, span.end), span.name);
         free_events_.push_back(span.begin);
         free_events_.push_back(span.end);
-        bool known = false;
-        for (auto& [name, total] : timings)
-            if (name == span.name) {
-                total += milliseconds;
-                known = true;
-            }
-        if (!known) timings.emplace_back(span.name, milliseconds);
+        const std::string_view launch = span.name;
+        const std::string_view stage = by_launch ? launch : launch.substr(0, launch.find(' '));
+        const auto known =
+            std::find_if(timings.begin(), timings.end(), [&](const auto& row) { return row.first == stage; });
+        if (known != timings.end())
+            known->second += milliseconds;
+        else
+            timings.emplace_back(stage, milliseconds);
     }
     spans_.clear();
     return timings;

@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstddef>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -46,10 +47,20 @@ __global__ void __launch_bounds__(128) run_stage(const __grid_constant__ Stage s
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i < count) stage(i);
 }
+
+template <class Stage, int threads, int blocks>
+__global__ void __launch_bounds__(threads, blocks)
+    run_queue(const __grid_constant__ Stage stage, const int* count) {
+    const int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i < *count) stage(i);
+}
 #endif
 
 class Device : public std::enable_shared_from_this<Device> {
 public:
+    // Whether stage "path" takes all paths from vertex to vertex together, or one path after the other to its end.
+    static constexpr bool follows_paths_together = true;
+
     explicit Device(int index = 0);
     ~Device();
     Device(const Device&) = delete;
@@ -64,6 +75,10 @@ public:
     void copy(void* to, const void* from, size_t bytes);
     void clear(void* device, size_t bytes);
     void synchronize();
+
+    // Host memory that the device writes to without a detour: several times as fast, but slow to get, so what is
+    // given back is kept for the next. Ordinary memory once much of it is in use. Any thread may give it back.
+    std::shared_ptr<void> host_memory(size_t bytes);
 
 #if defined(__CUDACC__)
     template <class Stage>
@@ -93,10 +108,23 @@ public:
         run_stage<<<(count + 127) / 128, 128, 0, stream()>>>(stage, count);
         end_stage(name);
     }
+
+    // The first *count indices, of at most `capacity`; the host does not wait to know how many they are.
+    template <class Stage>
+    void launch_queue(const char* name, int capacity, const std::int32_t* count, const Stage& stage) {
+        if (capacity <= 0) return;
+        begin_stage(name);
+        constexpr LaunchShape shape = launch_shape_of<Stage>();
+        constexpr int threads = shape.width * shape.height;
+        run_queue<Stage, threads, shape.blocks>
+            <<<(capacity + threads - 1) / threads, threads, 0, stream()>>>(stage, count);
+        end_stage(name);
+    }
 #endif
 
-    // Milliseconds per name since the last call, in launch order. Waits for the device.
-    std::vector<std::pair<std::string, double>> take_timings();
+    // Milliseconds per stage since the last call, in launch order: the first word of a launch's name. by_launch: per
+    // name. Waits for the device.
+    std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 
     // May be called from any thread: the next launch throws Interrupted. Kernels are short; a running one ends.
     void interrupt() { interrupted_ = true; }
@@ -129,6 +157,16 @@ private:
         cudaEvent_t begin, end;
     };
 
+    // Blocks of pinned memory by size; shared with the blocks in use, which may outlive the device.
+    struct PinnedBlocks {
+        ~PinnedBlocks();
+        void give_back(void* data, size_t bytes);
+
+        std::mutex mutex;
+        std::multimap<size_t, void*> free;
+        size_t free_bytes = 0, used_bytes = 0;
+    };
+
     // Where to put the next piece of work; waits for what the last stream had to do.
     cudaStream_t stream();
 
@@ -158,6 +196,7 @@ private:
     std::vector<Span> spans_;
     std::vector<cudaEvent_t> free_events_;
     std::atomic<bool> interrupted_{false};
+    std::shared_ptr<PinnedBlocks> pinned_ = std::make_shared<PinnedBlocks>();
 };
 
 }  // namespace svgf

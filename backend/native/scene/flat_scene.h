@@ -41,12 +41,19 @@ struct MeshView {
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
 };
 
+// Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
+namespace ray_kind {
+constexpr std::uint32_t camera = 1, diffuse = 2, glossy = 4, transmission = 8, shadow = 16, all = 31;
+}
+
 // What traversal and shading read of an instance, one cache line.
 struct alignas(16) Instance {
     Mat34 world_to_object;
     std::int32_t mesh;
     std::int32_t object_id;
     std::int32_t material_start;
+    std::uint32_t visibility : 8;  // bits of ray_kind
+    std::uint32_t emitter : 24;    // 1 + index of its Emitter; 0: it does not shine
 };
 static_assert(sizeof(Instance) == 64);
 
@@ -126,22 +133,48 @@ struct alignas(16) MaterialMap {
 };
 static_assert(sizeof(MaterialMap) == 12 * sizeof(float));
 
-enum class LightKind : std::int32_t { point, sun, spot, rectangle, ellipse, triangle };
+enum class LightKind : std::int32_t { point, sun, spot, rectangle, ellipse, triangle, environment };
 
-// A row of FlatScene.light_data with its kind and probability in the spare columns, 96 bytes.
-struct Light {
+// A row of FlatScene.light_data, of 24 floats, and what belongs to it; 112 bytes.
+struct alignas(16) Light {
     Vec3 position;                // triangle: vertex 0
     Vec3 axis_x, axis_y, axis_z;  // triangle: two edges and the unit normal; lamps shine along -axis_z
     Vec3 radiance;                // delta lamps: intensity, a sun's irradiance
     Vec2 size;                    // point, spot: radius; sun: sine and cosine of half its angle; area: widths
     float area;
-    float cos_half_spot, spot_scale;
+    float cos_half_spot, spot_scale;  // area lamps: tangent of half the spread, and the scale of its fading
     float is_delta;
-    LightKind kind;
+    float unused;
     float probability;
-    float soft_falloff;          // point, spot: 1 for a disk that faces the point it lights, 0 for a sphere
+    float soft_falloff;  // point, spot: 1 for a disk that faces the point it lights, 0 for a sphere
+    LightKind kind;
+    std::uint32_t visibility;  // bits of ray_kind
+    std::int32_t leaf;         // of the light tree; -1: the light is not in it
+    std::int32_t emission_map;  // triangle: its EmissionMap, or -1
 };
-static_assert(sizeof(Light) == 24 * sizeof(float));
+static_assert(sizeof(Light) == 28 * sizeof(float));
+
+// Where the light of a triangle is found: light_of_triangle[table + triangle] counts from first_light, or is -1.
+struct Emitter {
+    std::int32_t first_light, table;
+};
+
+// An image by which the emission of a triangle is multiplied, 32 bytes.
+struct alignas(16) EmissionMap {
+    Vec2 corner[3];  // texture coordinates
+    std::int32_t texture;
+    std::int32_t unused;
+};
+
+// Node of the light tree, 48 bytes: a bound of where its lights are, where they shine to and how much [Conty18].
+struct alignas(16) LightNode {
+    Vec3 low, high;     // box around all lights
+    Vec3 axis;          // of the cone of all normals
+    float cos_normals;  // of the cone's half angle
+    float cos_emission;  // of the angle from a normal within which a light shines
+    float power;        // negative: the lights shine on both sides of themselves
+};
+static_assert(sizeof(LightNode) == 12 * sizeof(float));
 
 enum class Interpolation : std::int32_t { closest, linear, cubic };
 enum class Extension : std::int32_t { repeat, extend, clip, mirror };
@@ -156,9 +189,41 @@ struct TextureView {
     bool associated_alpha = false;  // colours are stored times alpha
 };
 
+struct LightsView {
+    const Light* rows = nullptr;  // suns and the environment first, then lamps, then triangles
+    std::int32_t count = 0;
+    std::int32_t lamp_count = 0;            // all that are no triangles
+    std::uint32_t sized_lamps_seen_by = 0;  // kinds of rays that can run into a lamp
+    // [interval_count + 1]: one interval for each light, or, where there is a tree, for each that is not in it, and the
+    // last one for the tree.
+    const float* cdf = nullptr;
+    std::int32_t interval_count = 0;
+    // The light tree: a complete binary one, the children of node i are 2 i + 1 and 2 i + 2. Null: there is none.
+    const LightNode* nodes = nullptr;
+    const std::int32_t* light_of_leaf = nullptr;
+    std::int32_t tree_depth = 0;  // 2^depth leaves
+    const Emitter* emitters = nullptr;
+    const std::int32_t* light_of_triangle = nullptr;
+    const EmissionMap* emission_maps = nullptr;
+};
+
+struct WorldView {
+    Vec3 radiance;  // times the environment's
+    std::uint32_t visibility = ray_kind::all;
+    std::int32_t texture = -1;  // the environment image
+    Vec3 to_environment[3];     // rows of a rotation
+    // The density of directions that are sampled, constant within each cell of equirectangular maps: [rows + 1] and
+    // [rows, columns + 1]. Null: the environment is only found by rays that run into it.
+    const float* row_cdf = nullptr;
+    const float* column_cdf = nullptr;
+    std::int32_t rows = 0, columns = 0;
+    std::int32_t light = -1;  // the environment's row of the lights
+};
+
 struct SceneView {
     const WideNode* nodes = nullptr;               // top level
     const std::int32_t* instance_order = nullptr;  // instance of each of its leaves
+    bool has_one_instance = false;                 // rays then start in it
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
@@ -167,13 +232,8 @@ struct SceneView {
     const MaterialMap* material_maps = nullptr;
     const TextureView* textures = nullptr;
     const float* albedo_tables = nullptr;  // of trace/microfacet.h
-    const Light* lights = nullptr;     // lamps first, then triangles
-    const float* light_cdf = nullptr;  // [light_count + 1]
-    std::int32_t light_count = 0;
-    std::int32_t lamp_count = 0;
-    std::int32_t sized_lamp_count = 0;  // lamps that rays can hit
-    float triangle_light_scale = 0;     // chance of choosing an emissive triangle, over its mean emission times area
-    Vec3 world_radiance;
+    LightsView lights;
+    WorldView world;
 };
 
 }  // namespace svgf

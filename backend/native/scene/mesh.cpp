@@ -2,9 +2,12 @@
 #include "scene/mesh.h"
 
 #include <algorithm>
+#include <atomic>
 #include <vector>
 
+#include "core/host_buffer.h"
 #include "device/threads.h"
+#include "scene/hittable.h"
 
 namespace svgf {
 namespace {
@@ -47,12 +50,29 @@ Bounds triangle_bounds(const Mesh::Arrays& arrays, std::size_t triangle) {
     }
     const auto [vertex] = positions_of(arrays, arrays.positions, triangle, {});
     Bounds box;
-    for (const Vec3& p : vertex) {
-        if (!(max_component(abs(p)) <= Mesh::largest_coordinate) || !is_finite(p)) return {};
-        box.add(p);
+    if (is_hittable(vertex[0], vertex[1], vertex[2]))
+        for (const Vec3& p : vertex) box.add(p);
+    return box;
+}
+
+bool has_valid_indices(const Mesh::Arrays& arrays) {
+    const std::int64_t vertex_count = std::int64_t(arrays.positions.size() / 3);
+    return std::all_of(arrays.triangles.begin(), arrays.triangles.end(),
+                       [&](std::int32_t index) { return index >= 0 && index < vertex_count; });
+}
+
+// Triangles of empty boxes.
+std::vector<std::int32_t> find_left_out(std::span<const Bounds> boxes) {
+    std::vector<std::int32_t> left_out;
+    for (std::size_t i = 0; i < boxes.size(); ++i)
+        if (boxes[i].is_empty()) left_out.push_back(std::int32_t(i));
+    return left_out;
+}
+
+void raise_to(std::atomic<std::int32_t>& value, std::int32_t at_least) {
+    std::int32_t current = value;
+    while (current < at_least && !value.compare_exchange_weak(current, at_least)) {
     }
-    const Vec3 normal = accurate_cross(vertex[1] - vertex[0], vertex[2] - vertex[0]);
-    return max_component(abs(normal)) >= std::numeric_limits<float>::min() ? box : Bounds{};
 }
 
 // Centre of a box on those axes where it lies farther from 0 than it is wide, else 0. Subtracting it is then exact.
@@ -65,52 +85,48 @@ Vec3 find_centre(const Bounds& box) {
     return {along(box.low.x, box.high.x), along(box.low.y, box.high.y), along(box.low.z, box.high.z)};
 }
 
-CornerNormals corner_normals(const Mesh::Arrays& arrays, std::size_t triangle) {
-    CornerNormals result;
-    for (int k = 0; k < 3; ++k) {
-        const Vec3 normal = vector_at(arrays.normals, 3 * triangle + k);
-        if (!is_finite(normal) || dot(normal, normal) == 0.0f) return {};
-        result.corner[k] = normal;
-    }
-    return result;
-}
-
 }  // namespace
+
+bool is_centred(const Bounds& box) {
+    const Vec3 centre = find_centre(box);
+    return max_component(abs(centre)) == 0.0f;
+}
 
 Mesh::Mesh(Device& device, const Arrays& arrays) {
     check(arrays);
     const std::size_t triangle_count = arrays.material_slots.size();
-    std::vector<Bounds> boxes(triangle_count);
+    HostBuffer<Bounds> boxes(triangle_count);
     parallel_for(triangle_count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) boxes[i] = triangle_bounds(arrays, i);
     });
     Bounds bounds;
-    for (const Bounds& box : boxes) bounds.add(box);
+    for (const Bounds& box : std::span<const Bounds>(boxes)) bounds.add(box);
     centre_ = find_centre(bounds);
     parallel_for(triangle_count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) boxes[i] = {boxes[i].low - centre_, boxes[i].high - centre_};
     });
     const Bvh bvh = build_bvh(boxes, max_leaf_size);
-    bounds_ = bvh.bounds;
-    if (!bounds_.is_empty()) {
-        const Vec3 middle = (bounds_.low + bounds_.high) * 0.5f, width = bounds_.high - bounds_.low;
-        const auto inverse = [](float x) { return x > 0.0f ? 1.0f / x : 0.0f; };
-        view_.box_middle = {middle.x, middle.y};
-        view_.box_scale = {inverse(width.x), inverse(width.y)};
-    }
+    set_bounds(bvh.bounds);
 
     const std::size_t count = bvh.primitives.size();
-    std::vector<LeafTriangle> triangles(count);
-    std::vector<CornerNormals> normals(count);
+    HostBuffer<LeafTriangle> triangles(count);
+    HostBuffer<CornerNormals> normals(count);
     const std::size_t uv_layers = arrays.uvs.size() / std::max<std::size_t>(6 * triangle_count, 1);
-    std::vector<CornerUvs> uvs(uv_layers * count);
-    std::vector<TrianglePositions> previous(arrays.previous_positions.empty() ? 0 : count);
+    HostBuffer<CornerUvs> uvs(uv_layers * count);
+    HostBuffer<TrianglePositions> previous(arrays.previous_positions.empty() ? 0 : count);
+    std::atomic<bool> any_normal = false;
+    std::atomic<std::int32_t> smallest_slot = 0, largest_slot = -1;
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
+        bool finds_normal = false;
+        std::int32_t smallest = 0, largest = -1;
         for (std::size_t i = begin; i < end; ++i) {
             const std::size_t t = bvh.primitives[i];
             const auto [vertex] = positions_of(arrays, arrays.positions, t, centre_);
             triangles[i] = {vertex[0], std::int32_t(t), vertex[1], arrays.material_slots[t], vertex[2]};
-            normals[i] = corner_normals(arrays, t);
+            smallest = std::min(smallest, arrays.material_slots[t]);
+            largest = std::max(largest, arrays.material_slots[t]);
+            normals[i] = checked_normals(reinterpret_cast<const Vec3*>(arrays.normals.data()) + 3 * t);
+            finds_normal |= dot(normals[i].corner[0], normals[i].corner[0]) > 0.0f;
             for (std::size_t layer = 0; layer < uv_layers; ++layer) {
                 const float* uv = &arrays.uvs[6 * (layer * triangle_count + t)];
                 uvs[layer * count + i] = {{{uv[0], uv[1]}, {uv[2], uv[3]}, {uv[4], uv[5]}}};
@@ -121,37 +137,52 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
                     if (!is_finite(previous[i].vertex[k])) previous[i].vertex[k] = vertex[k];
             }
         }
+        if (finds_normal) any_normal = true;
+        raise_to(largest_slot, largest);
+        if (smallest < 0) smallest_slot = smallest;
     });
-    for (const LeafTriangle& triangle : triangles) {
-        if (triangle.material_slot < 0) throw InputError("A mesh's material slots must not be negative.");
-        slot_count_ = std::max(slot_count_, triangle.material_slot + 1);
-    }
+    if (smallest_slot < 0) throw InputError("A mesh's material slots must not be negative.");
+    slot_count_ = largest_slot + 1;
 
     nodes_ = Buffer<WideNode>(device, std::span(bvh.nodes), "a mesh's tree");
-    triangles_ = Buffer<LeafTriangle>(device, std::span<const LeafTriangle>(triangles), "triangles");
+    triangles_ = Buffer<LeafTriangle>(device, triangles, "triangles");
     view_.nodes = nodes_.data();
     view_.triangles = triangles_.data();
-    const bool any_normal = std::any_of(normals.begin(), normals.end(),
-                                        [](const CornerNormals& n) { return dot(n.corner[0], n.corner[0]) > 0.0f; });
     if (any_normal) {
-        normals_ = Buffer<CornerNormals>(device, std::span<const CornerNormals>(normals), "normals");
+        normals_ = Buffer<CornerNormals>(device, normals, "normals");
         view_.normals = normals_.data();
     }
     if (!uvs.empty()) {
-        uvs_ = Buffer<CornerUvs>(device, std::span<const CornerUvs>(uvs), "texture coordinates");
+        uvs_ = Buffer<CornerUvs>(device, uvs, "texture coordinates");
         view_.uvs = uvs_.data();
         view_.uv_layers = std::int32_t(uv_layers);
         view_.triangle_count = std::int32_t(count);
     }
     if (!previous.empty()) {
-        previous_positions_ = Buffer<TrianglePositions>(device, std::span<const TrianglePositions>(previous),
-                                                        "previous positions");
+        previous_positions_ = Buffer<TrianglePositions>(device, previous, "previous positions");
         view_.previous_positions = previous_positions_.data();
+        const std::vector<std::int32_t> left_out = find_left_out(boxes);
+        if (count > 0 && has_valid_indices(arrays))
+            refit_ = std::make_unique<Refit>(device, arrays, bvh.nodes, left_out, *this);
     }
 }
 
+void Mesh::set_bounds(const Bounds& bounds) {
+    bounds_ = bounds;
+    if (bounds_.is_empty()) return;
+    const Vec3 middle = (bounds_.low + bounds_.high) * 0.5f, width = bounds_.high - bounds_.low;
+    const auto inverse = [](float x) { return x > 0.0f ? 1.0f / x : 0.0f; };
+    view_.box_middle = {middle.x, middle.y};
+    view_.box_scale = {inverse(width.x), inverse(width.y)};
+}
+
 std::size_t Mesh::bytes() const {
-    return nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + previous_positions_.bytes();
+    std::size_t bytes =
+        nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + previous_positions_.bytes();
+    if (refit_)
+        bytes += refit_->vertices.bytes() + refit_->bounds.bytes() + refit_->cost.bytes() + refit_->levels.bytes() +
+                 refit_->left_out.bytes();
+    return bytes;
 }
 
 }  // namespace svgf

@@ -3,7 +3,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <span>
+#include <vector>
 
 #include "device/device.h"
 #include "scene/bvh.h"
@@ -11,7 +13,7 @@
 
 namespace svgf {
 
-// The geometry of one mesh on the device, with its tree. It never changes: a mesh that deforms is made anew.
+// The geometry of one mesh on the device, with its tree.
 //
 // What lies far from its own origin is moved towards it by `centre`, so that it keeps its digits in every product; an
 // instance's transforms make up for it.
@@ -33,6 +35,11 @@ public:
     // Throws InputError if the lengths do not fit together.
     Mesh(Device& device, const Arrays& arrays);
 
+    // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the same
+    // slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is then in
+    // no state to be used, and one must be made anew.
+    bool refit(Device& device, const Arrays& arrays);
+
     const MeshView& view() const { return view_; }
     Vec3 centre() const { return centre_; }           // of the view, in the coordinates of Arrays
     const Bounds& bounds() const { return bounds_; }  // of the view
@@ -40,10 +47,28 @@ public:
     std::size_t triangle_count() const { return triangles_.size(); }  // of those that can be hit
     std::size_t bytes() const;
 
-    // Products of three coordinates stay finite in float.
-    static constexpr float largest_coordinate = 1e12f;
-
 private:
+    // What refitting needs to know of the tree.
+    struct Refit {
+        Refit(Device& device, const Arrays& arrays, std::span<const WideNode> nodes,
+              std::span<const std::int32_t> left_out, Mesh& mesh);
+
+        Buffer<std::int32_t> vertices;  // [T, 3]
+        Buffer<Bounds> bounds;          // of each node
+        Buffer<float> cost;
+        Buffer<std::int32_t> left_out;  // triangles that cannot be hit
+        Buffer<std::uint32_t> levels;   // nodes, level by level
+        std::vector<int> level_starts;
+        std::size_t position_count = 0;
+        double built_cost = 0;
+    };
+    struct RefitResult {
+        Bounds bounds;
+        double cost = 0;  // expected child boxes and triangles that a ray which meets the mesh meets
+    };
+    void set_bounds(const Bounds& bounds);
+    RefitResult refit_nodes(Device& device, Refit& refit);
+
     Vec3 centre_;
     Bounds bounds_;
     int slot_count_ = 0;
@@ -52,7 +77,11 @@ private:
     Buffer<CornerNormals> normals_;
     Buffer<CornerUvs> uvs_;
     Buffer<TrianglePositions> previous_positions_;
+    std::unique_ptr<Refit> refit_;  // of a mesh that deforms
     MeshView view_;
 };
+
+// Whether a box lies close enough to 0 for its size.
+bool is_centred(const Bounds& box);
 
 }  // namespace svgf

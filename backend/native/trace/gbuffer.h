@@ -15,19 +15,28 @@ namespace svgf {
 
 constexpr float background_depth = 1e10f;
 constexpr float largest_depth_gradient = 1e10f;
+// Numbers of the surfaces on one shadow ray.
+constexpr int shadow_surfaces = 1025;
 // Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
 constexpr float no_motion = 1e6f;
-
-// The primary ray through image point `point`. Its direction has planar depth 1, so its t is planar and so are the
-// clips.
-SVGF_HD inline Ray primary_ray(const Camera& camera, Vec2 point) {
-    return {camera.position(), camera.direction(point), camera.near_clip, camera.far_clip};
-}
 
 // Where the first ray of a sample goes through pixel (x, y).
 SVGF_HD inline Vec2 pixel_point(int x, int y, const Sampler& sampler, bool box_filter) {
     const Vec2 offset = box_filter ? sampler.pair(SamplePair::pixel) : Vec2{0.5f, 0.5f};
     return {float(x) + offset.x, float(y) + offset.y};
+}
+
+// The first ray of a sample, through image point `point`, in metres: what goes on behind a hit must be this very ray.
+template <Effects kernel>
+SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler) {
+    Ray ray = camera.ray(point);
+    if constexpr (covers(kernel, Effects::depth_of_field))
+        if (camera.aperture.radius > 0.0f) ray = camera.ray_through_lens(point, sampler.pair(SamplePair::lens));
+    const float scale = length(ray.direction);
+    ray.direction = ray.direction / scale;
+    ray.t_min *= scale;
+    ray.t_max *= scale;
+    return ray;
 }
 
 // What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
@@ -36,6 +45,14 @@ template <Effects kernel>
 SVGF_HD float surface_choice(const Sampler& sampler, int vertex) {
     if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
         return sampler.pair(SamplePair::surface, vertex).x;
+    return 0.0f;
+}
+
+// The same at surface number i on the shadow ray of a vertex: parts of mixes are chosen for each on its own.
+template <Effects kernel>
+SVGF_HD float shadow_choice(const Sampler& sampler, int vertex, int i) {
+    if constexpr (covers(kernel, Effects::material_mixes))
+        return sampler.pair(SamplePair::shadow, vertex * shadow_surfaces + i).x;
     return 0.0f;
 }
 
@@ -49,6 +66,7 @@ struct GbufferStage {
     std::uint32_t sample, seed;
     bool box_filter;
     bool camera_moves;
+    int transparent_bounces;
 
     Hit* out_hit;
     Vec3* out_normal;          // world, on the viewer's side; 0 on the background
@@ -58,49 +76,57 @@ struct GbufferStage {
     std::int32_t* out_material_id;  // index + 1
     float* out_roughness;
     Vec3* out_diffuse_albedo;
-    Vec3* out_specular_albedo;
-    Vec3* out_motion;  // previous position minus this one in pixels, previous depth minus this one
+    Vec3* out_specular_albedo;  // null: nothing is specular
+    // Previous position minus this one in pixels, previous depth minus this one; null: nothing moves.
+    Vec3* out_motion;
 
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
         const Sampler sampler(x, y, camera.width, seed, sample);
-        const Ray ray = primary_ray(camera, pixel_point(x, y, sampler, box_filter));
-        const Hit hit = find_closest_hit(scene, ray);
+        const Vec2 point = pixel_point(x, y, sampler, box_filter);
+        Ray ray = primary_ray<kernel>(camera, point, sampler);
+        Hit hit = find_closest_hit(scene, ray);
         out_hit[i] = hit;
-        if (!hit.found()) {
-            // Infinitely far: only the camera's rotation moves it.
-            Vec3 motion;
-            if (camera_moves)
-                motion = find_motion(camera.project_direction(ray.direction),
-                                     previous_camera.project_direction(ray.direction));
-            write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
-            return;
+        if (!hit.found()) return write_background(i, ray.direction);
+        const Vec3 view = -ray.direction;
+        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
+        Vec3 tint{1, 1, 1};
+        if constexpr (covers(kernel, Effects::alpha)) {
+            // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
+            for (int vertex = 1; max_component(surface.straight) > 0.0f && vertex <= max(transparent_bounces, 1); ++vertex) {
+                tint *= surface.straight;
+                ray.t_min = hit.t;
+                hit = find_closest_hit(scene, ray);
+                if (!hit.found()) return write_background(i, ray.direction);
+                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex));
+            }
         }
-        const Vec3 view = -normalize(ray.direction);
-        const Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
         const Bsdf<kernel> bsdf(scene, surface, view);
         const ImagePoint now = camera.project(surface.position);
         // What stands still moves by exactly 0, whatever two projections would round it to.
         Vec3 motion;
-        if (camera_moves || is_moving(scene, hit))
+        if (out_motion && (camera_moves || is_moving(scene, hit)))
             motion = find_motion(now, previous_camera.project(find_previous_position(scene, hit)));
-        write(i, bsdf.normal, now.depth, find_depth_gradient(ray.direction, now.depth, bsdf.geometric_normal),
+        write(i, bsdf.normal, now.depth, bounded(camera.depth_gradient(point, now.depth, bsdf.geometric_normal)),
               scene.instances[hit.instance].object_id, surface.material_index + 1, surface.material.roughness,
-              bsdf.diffuse_albedo, bsdf.specular_albedo, motion);
+              bsdf.diffuse_albedo * tint, bsdf.specular_albedo * tint, motion);
     }
 
 private:
+    // Infinitely far: only the camera's rotation moves it.
+    SVGF_HD void write_background(int i, Vec3 direction) const {
+        Vec3 motion;
+        if (camera_moves)
+            motion = find_motion(camera.project_direction(direction), previous_camera.project_direction(direction));
+        write(i, {}, background_depth, {}, 0, 0, 0.0f, {}, {}, {motion.x, motion.y, 0.0f});
+    }
+
     SVGF_HD static Vec3 find_motion(ImagePoint now, ImagePoint before) {
         const Vec3 motion{before.point.x - now.point.x, before.point.y - now.point.y, before.depth - now.depth};
         return before.depth > 0.0f && is_finite(motion) ? motion : Vec3{no_motion, no_motion, 0.0f};
     }
 
-    // The ray s d meets the plane n (x - p) = 0 at depth s = n p / n d, so that ds = -s (n dd) / (n d).
-    SVGF_HD Vec2 find_depth_gradient(Vec3 direction, float depth, Vec3 geometric_normal) const {
-        const Vec3 normal = camera.to_camera(geometric_normal);
-        const float scale = -depth / dot(normal, camera.to_camera(direction));
-        const Vec2 gradient{normal.x * ((camera.right - camera.left) / float(camera.width)) * scale,
-                            normal.y * ((camera.bottom - camera.top) / float(camera.height)) * scale};
+    SVGF_HD static Vec2 bounded(Vec2 gradient) {
         const auto bounded = [](float g) {
             return g == g ? clamp(g, -largest_depth_gradient, largest_depth_gradient) : 0.0f;
         };
@@ -117,8 +143,8 @@ private:
         out_material_id[i] = material_id;
         out_roughness[i] = roughness;
         out_diffuse_albedo[i] = diffuse_albedo;
-        out_specular_albedo[i] = specular_albedo;
-        out_motion[i] = motion;
+        if (out_specular_albedo) out_specular_albedo[i] = specular_albedo;
+        if (out_motion) out_motion[i] = motion;
     }
 };
 

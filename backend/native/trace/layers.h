@@ -8,8 +8,8 @@
 
 namespace svgf {
 
-// Fuzz as a linearly transformed cosine [Zeltner22]: (x, y, z) -> (a x + b z, a y, z), x along the view's azimuth, makes
-// the lobe a cosine. The fits are those of [MaterialX]; that of the albedo is off by up to 10 %, hence a table.
+// Fuzz as a linearly transformed cosine [Zeltner22]: (x, y, z) -> (a x + b z, a y, z), x along the view's azimuth,
+// makes the lobe a cosine. The fits are those of [MaterialX]; that of the albedo is off by up to 10 %, hence a table.
 struct Sheen {
     float a = 1, b = 0, albedo = 0;
 
@@ -22,7 +22,8 @@ struct Sheen {
         albedo = look_up_albedo(tables, sheen_table, roughness, cos_view);
     }
 
-    // Density, which is also the lobe's value over its weight [Zeltner22, Eq. 3]. light: local, x along the view's azimuth.
+    // Density, which is also the lobe's value over its weight [Zeltner22, Eq. 3]. light: local, x along the view's
+    // azimuth.
     SVGF_HD float density(Vec3 light) const {
         const float squared = square(a * light.x + b * light.z) + square(a * light.y) + square(light.z);
         return max(light.z, 0.0f) / pi * square(a / max(squared, 1e-30f));

@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lamps and emissive triangles: choosing one, sampling a point on it, and the densities of the same for rays that run
-// into one.
+// Lamps, emissive triangles and the environment: choosing one, sampling a point on it, and the densities of the same
+// for rays that run into one.
 //
 // Densities are per solid angle and hold the probability of choosing the light. A lamp without size has density 1 for
 // its only direction.
 #pragma once
 
+#include "core/effects.h"
 #include "core/sampling.h"
 #include "core/vec.h"
 #include "scene/flat_scene.h"
+#include "trace/environment.h"
+#include "trace/intersect.h"
+#include "trace/light_tree.h"
+#include "trace/texture.h"
 
 namespace svgf {
 
@@ -23,17 +28,37 @@ struct LightSample {
     bool delta = false;
 };
 
-// The index i with cdf[i] <= u < cdf[i + 1].
-SVGF_HD inline int choose_light(const SceneView& scene, float u) {
-    int low = 0, high = scene.light_count;
-    while (high - low > 1) {
-        const int middle = (low + high) / 2;
-        if (scene.light_cdf[middle] <= u)
-            low = middle;
-        else
-            high = middle;
+struct LightChoice {
+    std::int32_t index = -1;  // -1: no light
+    float probability = 0;
+};
+
+// One light for a point. normal: of the receiver.
+template <Effects kernel>
+SVGF_HD LightChoice choose_light(const LightsView& lights, Vec3 point, Vec3 normal, Vec2 u) {
+    const int interval = choose_interval(lights.cdf, lights.interval_count, u.x);
+    if constexpr (covers(kernel, Effects::many_lights)) {
+        if (lights.nodes && interval == lights.interval_count - 1) {
+            std::int32_t leaf = -1;
+            const float chance = walk_light_tree(lights, point, normal, u, leaf);
+            if (!(chance > 0.0f) || lights.light_of_leaf[leaf] < 0) return {};
+            const std::int32_t index = lights.light_of_leaf[leaf];
+            return {index, chance * lights.rows[index].probability};
+        }
     }
-    return low;
+    return {interval, lights.rows[interval].probability};
+}
+
+// The probability with which choose_light would have chosen a light.
+template <Effects kernel>
+SVGF_HD float choice_probability(const LightsView& lights, const Light& light, Vec3 point, Vec3 normal) {
+    if constexpr (covers(kernel, Effects::many_lights)) {
+        if (light.leaf >= 0) {
+            std::int32_t leaf = light.leaf;
+            return light.probability * walk_light_tree(lights, point, normal, {}, leaf);
+        }
+    }
+    return light.probability;
 }
 
 // 1 - cosine of half the angle under which a sphere is seen; from within 2, all directions. Without the difference.
@@ -70,8 +95,25 @@ SVGF_HD inline float spot_attenuation(const Light& light, Vec3 direction) {
     return t * t * (3.0f - 2.0f * t);
 }
 
-// A point on the light as seen from `point`.
-SVGF_HD inline LightSample sample_light(const Light& light, Vec3 point, Vec2 u) {
+// Of an area lamp behind a grid of slats that hide it from where it is seen at an angle; 1 for a full spread. cosine:
+// of the angle, > 0. As Cycles has it: max(0, tan(half spread) - tan(angle)), normalized.
+SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
+    if (!(light.spot_scale > 0.0f)) return 1.0f;
+    const float tangent = std::sqrt((1.0f - cosine) * (1.0f + cosine)) / cosine;
+    return max(0.0f, light.cos_half_spot - tangent) * light.spot_scale;
+}
+
+// Where the emission of triangles is an image: its value at a point of one, given the weights of the edges.
+SVGF_HD inline Vec3 sample_emission_map(const SceneView& scene, const Light& light, Vec2 share) {
+    const EmissionMap& map = scene.lights.emission_maps[light.emission_map];
+    const Vec2 edge1 = map.corner[1] - map.corner[0], edge2 = map.corner[2] - map.corner[0];
+    const Vec2 uv = map.corner[0] + edge1 * share.x + edge2 * share.y;
+    return sample_texture(scene.textures[map.texture], uv).xyz();
+}
+
+// A point on a light as seen from `point`. probability: with which the light was chosen.
+template <Effects kernel>
+SVGF_HD LightSample sample_light(const SceneView& scene, const Light& light, float probability, Vec3 point, Vec2 u) {
     LightSample sample;
     sample.radiance = light.radiance;
     sample.delta = light.is_delta != 0.0f;
@@ -128,22 +170,38 @@ SVGF_HD inline LightSample sample_light(const Light& light, Vec3 point, Vec2 u) 
             sample.direction = to_light / sample.distance;
             // Lamps shine along -axis_z alone, triangles both ways.
             float cosine = dot(sample.direction, light.axis_z);
-            if (light.kind == LightKind::triangle) cosine = std::fabs(cosine);
+            if (light.kind == LightKind::triangle) {
+                cosine = std::fabs(cosine);
+                if constexpr (covers(kernel, Effects::textures | Effects::mesh_lights))
+                    if (light.emission_map >= 0) sample.radiance *= sample_emission_map(scene, light, share);
+            } else if (cosine > 0.0f) {
+                sample.radiance *= spread_attenuation(light, cosine);
+            }
             sample.pdf = cosine > 0.0f ? sample.distance * sample.distance / (cosine * light.area) : 0.0f;
             break;
         }
+        case LightKind::environment:
+            if constexpr (covers(kernel, Effects::environment_map)) {
+                sample.direction = sample_environment(scene.world, u, sample.pdf);
+                sample.radiance = environment_radiance(scene, sample.direction);
+            } else {
+                sample.pdf = 0.0f;
+            }
+            break;
     }
     // From a point on the light itself, or a density without bound, nothing comes.
     if (!(is_finite(sample.pdf) && is_finite(sample.radiance) && sample.distance > 0.0f)) sample.pdf = 0.0f;
-    sample.pdf *= light.probability;
+    sample.pdf *= probability;
     return sample;
 }
 
-// Light of a lamp that a ray crosses before t_hit, which is infinite where it hits nothing. Returns false where it does
-// not; else radiance and pdf are set. Lamps without size are never crossed.
-SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, float t_hit, Vec3& radiance,
-                               float& pdf) {
-    if (light.is_delta != 0.0f) return false;
+// Light of a lamp that a ray crosses between t_min and t_hit, which is infinite where it hits nothing. Returns false
+// where it does not; else radiance is set, and pdf, without the probability of choosing the lamp. Lamps without size
+// are never crossed.
+SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, float t_min, float t_hit,
+                               Vec3& radiance, float& pdf) {
+    if (light.is_delta != 0.0f || light.kind == LightKind::environment) return false;
+    float spread = 1.0f;
     if (light.kind == LightKind::sun) {
         // By the sine: the cosine of a small angle has few digits left.
         const Vec3 sine = cross(direction, light.axis_z);
@@ -155,7 +213,7 @@ SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, 
         const float centre_distance = length(to_centre);
         const float cosine = dot(direction, to_centre) / centre_distance;
         const float t = centre_distance / cosine;
-        if (!(cosine > 0.0f && t > 0.0f && t < t_hit)) return false;
+        if (!(cosine > 0.0f && t > t_min && t < t_hit)) return false;
         const Vec3 beside = direction * t - to_centre;
         if (!(dot(beside, beside) <= light.size.x * light.size.x)) return false;
         pdf = disk_density(t, cosine, light.size.x);
@@ -163,28 +221,36 @@ SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, 
         const Vec3 to_centre = light.position - origin;
         bool misses;
         const float t = sphere_distance(to_centre, direction, light.size.x, misses);
-        if (misses || !(t > 0.0f && t < t_hit)) return false;
+        if (misses || !(t > t_min && t < t_hit)) return false;
         pdf = cone_density(sphere_cone(light.size.x, dot(to_centre, to_centre)));
     } else {
         const float cosine = dot(direction, light.axis_z);
         const float t = dot(light.position - origin, light.axis_z) / cosine;
-        if (!(cosine > 0.0f && t > 0.0f && t < t_hit)) return false;
+        if (!(cosine > 0.0f && t > t_min && t < t_hit)) return false;
         const Vec3 local = origin + direction * t - light.position;
         const float x = dot(local, light.axis_x) / light.size.x, y = dot(local, light.axis_y) / light.size.y;
         const bool inside = light.kind == LightKind::ellipse ? x * x + y * y <= 0.25f
                                                              : std::fabs(x) <= 0.5f && std::fabs(y) <= 0.5f;
         if (!inside) return false;
         pdf = t * t / (cosine * light.area);
+        spread = spread_attenuation(light, cosine);
     }
-    pdf *= light.probability;
-    radiance = light.radiance * spot_attenuation(light, direction);
+    radiance = light.radiance * (spot_attenuation(light, direction) * spread);
     return true;
 }
 
-// Density of an emissive triangle that a ray hits at distance t. Its area cancels: choosing it is proportional to it.
-SVGF_HD inline float triangle_density(const SceneView& scene, Vec3 emission, float t, float cosine) {
-    const float mean = (emission.x + emission.y + emission.z) / 3.0f;
-    return mean * scene.triangle_light_scale * t * t / std::fabs(cosine);
+// The light that a hit triangle is; null where its emission is in no light.
+SVGF_HD inline const Light* find_light(const SceneView& scene, const Hit& hit) {
+    const std::uint32_t emitter = scene.instances[hit.instance].emitter;
+    if (emitter == 0) return nullptr;
+    const Emitter& row = scene.lights.emitters[emitter - 1];
+    const std::int32_t number = scene.lights.light_of_triangle[row.table + hit.triangle];
+    return number < 0 ? nullptr : scene.lights.rows + row.first_light + number;
+}
+
+// Density of a triangle that a ray hits at distance t, without the probability of choosing it.
+SVGF_HD inline float triangle_density(const Light& light, float t, float cosine) {
+    return t * t / (std::fabs(cosine) * light.area);
 }
 
 }  // namespace svgf

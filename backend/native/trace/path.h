@@ -13,94 +13,159 @@
 #include "trace/camera.h"
 #include "trace/gbuffer.h"
 #include "trace/intersect.h"
+#include "trace/light_paths.h"
 #include "trace/lights.h"
 #include "trace/surface.h"
 
 namespace svgf {
 
-// Paths of fewer vertices are never cut short.
+// Paths of fewer bounces are never cut short.
 constexpr int roulette_start = 3;
 
+// Light of one sample of a pixel.
+struct Gathered {
+    Vec3 emission, first, second;
+    float alpha = 1;
+};
+
+// What a path carries from one vertex to the next.
+struct Path {
+    Ray ray;
+    Vec3 throughput{1, 1, 1};
+    Vec3 diffuse_share{1, 1, 1};    // of all light found after the first vertex
+    Vec3 normal;                    // of the vertex that the ray left
+    float pdf = 0;                  // of the BSDF sample that the ray follows
+    float smallest_pdf = infinity;  // of those so far
+    int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
+    int transparent_bounces = 0;  // these are not among the bounces
+    bool delta = true;
+    bool ends = false;  // the ray only looks for light
+};
+
+// Light that arrives as far as its way is free.
+struct ShadowRay {
+    Ray ray;
+    Vec3 light;  // all zero: there is none
+    Vec3 diffuse_share;
+    int bounces = 0;   // between the camera and the light
+    int surfaces = 0;  // that it may pass straight at most
+
+    SVGF_HD bool exists() const { return max_component(light) > 0.0f; }
+};
+
+// The vertices of paths, apart from the rays between them.
 template <Effects kernel>
-struct PathStage {
-    // Six blocks leave 80 registers to a thread. The spills cost less than the warps gain: 23.4 ms instead of 26.4 ms
-    // (H200, atrium, 1920x1080, 6 bounces).
-    static constexpr LaunchShape launch_shape{8, 16, 6};
-
+struct PathVertices {
     SceneView scene;
-    Camera camera;
-    std::uint32_t sample, seed;
-    int bounces;
-    bool box_filter;
-    bool splits_direct;   // signals: direct and indirect, else diffuse and specular
-    bool first_of_frame;  // overwrites the images, else adds to them
-    float weight;         // of this sample in the images
+    LightPaths limits;
+    bool transparent_film;
+    bool splits_direct;  // signals: direct and indirect, else diffuse and specular
+    bool two_signals;    // else the first one gets all
 
-    const Hit* in_hit;  // of the primary rays; null: they are traced here
-    Vec3* out_emission;
-    Vec3* out_first_signal;
-    Vec3* out_second_signal;  // null: the first one gets all
+    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
+    SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
+                       ShadowRay& shadow) const {
+        Ray& ray = path.ray;
+        if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
+        if (!hit.found()) {
+            add_world(path, light);
+            return false;
+        }
+        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
+        if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
+        if constexpr (has_alpha) {
+            // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
+            if (path.transparent_bounces >= max(limits.transparent_bounces, 1)) return false;
+            if (max_component(surface.straight) > 0.0f) {
+                // The same ray goes on, so that what it finds has the density with which it was sampled.
+                ++path.transparent_bounces;
+                path.throughput *= surface.straight;
+                ray.t_min = hit.t;
+                return true;
+            }
+        }
+        if (path.ends) return false;
 
-    SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
-        const int pixel = y * camera.width + x;
-        Gathered light;
-        trace(sampler, pixel, primary_ray(camera, pixel_point(x, y, sampler, box_filter)), light);
-        accumulate(out_emission[pixel], light.emission);
-        accumulate(out_first_signal[pixel], light.first);
-        if (out_second_signal) accumulate(out_second_signal[pixel], light.second);
+        const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
+        if (path.bounces >= roulette_start) {
+            const float survival = min(1.0f, max_component(path.throughput));
+            if (!(lobe_and_roulette.y < survival)) return false;
+            path.throughput = path.throughput / survival;
+        }
+        if constexpr (has_limits) simplify(path, surface.material);
+        const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
+        if (scene.lights.interval_count > 0) find_direct_light(sampler, path, surface, bsdf, vertex, shadow);
+
+        BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
+        if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
+        if (path.bounces == 0) path.diffuse_share = share_of(next.weight);
+        path.throughput *= next.weight.total();
+        if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return false;
+        count_bounce(path, next);
+        path.normal = bsdf.normal;
+        ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, kind_of(next.event)};
+        return true;
+    }
+
+    // Adds what arrives of a shadow ray that left vertex `vertex`.
+    SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
+        Vec3 arriving = shadow.light;
+        if constexpr (has_alpha) {
+            arriving *= transmittance(sampler, vertex, shadow);
+            if (!(max_component(arriving) > 0.0f)) return;
+        } else if (is_occluded(scene, shadow.ray)) {
+            return;
+        }
+        add(light, arriving, shadow.diffuse_share, shadow.bounces);
     }
 
 private:
-    struct Gathered {
-        Vec3 emission, first, second;
-    };
+    static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
+    static constexpr bool has_alpha = covers(kernel, Effects::alpha);
 
-    // What a path carries from one vertex to the next.
-    struct Path {
-        Vec3 throughput{1, 1, 1};
-        Vec3 diffuse_share{1, 1, 1};  // of all light found after the first vertex
-        float pdf = 0;                // of the BSDF sample that the ray follows
-        bool delta = true;
-    };
-
-    SVGF_HD void trace(const Sampler& sampler, int pixel, Ray ray, Gathered& light) const {
-        Path path;
-        for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(scene, ray);
-            if (vertex == 0)
-                ray.direction = normalize(ray.direction);
+    // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
+    SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
+        path.pdf = next.weight.pdf;
+        path.delta = next.delta;
+            path.ends = ++path.bounces > limits.bounces;
+        if constexpr (has_limits) {
+            if (!next.delta) path.smallest_pdf = min(path.smallest_pdf, next.weight.pdf);
+            if (next.event == BsdfEvent::diffuse)
+                path.ends |= ++path.diffuse_bounces > limits.diffuse_bounces;
+            else if (next.event == BsdfEvent::glossy)
+                path.ends |= ++path.glossy_bounces > limits.glossy_bounces;
             else
-                add_lamps(path, ray, hit, vertex, light);
-            if (!hit.found()) {
-                if (vertex == 0)
-                    light.emission = scene.world_radiance;
-                else
-                    add(light, path.throughput * scene.world_radiance, path.diffuse_share, vertex);
-                return;
-            }
-            const Surface surface = find_surface<kernel>(scene, hit, -ray.direction,
-                                                         surface_choice<kernel>(sampler, vertex));
-            if (max_component(surface.emission) > 0.0f) add_emission(path, surface, ray, hit, vertex, light);
-            if (vertex == bounces + 1) return;  // the last ray only looks for light
-
-            const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
-            if (vertex >= roulette_start) {
-                const float survival = min(1.0f, max_component(path.throughput));
-                if (!(lobe_and_roulette.y < survival)) return;
-                path.throughput = path.throughput / survival;
-            }
-            const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
-            if (scene.light_count > 0) add_direct_light(sampler, path, surface, bsdf, vertex, light);
-
-            const BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
-            if (vertex == 0) path.diffuse_share = share_of(next.weight);
-            path.throughput *= next.weight.total();
-            if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return;
-            path.pdf = next.weight.pdf;
-            path.delta = next.delta;
-            ray = {offset_from_surface(surface, next.direction), next.direction};
+                path.ends |= ++path.transmission_bounces > limits.transmission_bounces;
         }
+    }
+
+    SVGF_HD static std::uint32_t kind_of(BsdfEvent event) {
+        return event == BsdfEvent::diffuse  ? ray_kind::diffuse
+               : event == BsdfEvent::glossy ? ray_kind::glossy
+                                            : ray_kind::transmission;
+    }
+
+    // What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow.
+    SVGF_HD void simplify(const Path& path, Material& material) const {
+        if (path.ray.kind == ray_kind::diffuse && !limits.reflective_caustics) material.specular_ior_level = 0.0f;
+        const float density = path.smallest_pdf / limits.filter_glossy;
+        // GGX alpha is the square of roughness.
+        if (density < 1.0f) material.roughness = max(material.roughness, std::sqrt(0.5f * std::sqrt(1.0f - density)));
+    }
+
+    SVGF_HD std::uint32_t allowed_kinds(const Path& path) const {
+        std::uint32_t kinds = ray_kind::all;
+        if constexpr (has_limits) {
+            if (path.ray.kind == ray_kind::diffuse && !limits.reflective_caustics) kinds &= ~ray_kind::glossy;
+            if (path.ray.kind == ray_kind::diffuse && !limits.refractive_caustics) kinds &= ~ray_kind::transmission;
+        }
+        return kinds;
+    }
+
+    // Leaves of a value what these kinds of rays carry. below: the direction is on the other side of the surface.
+    SVGF_HD static void keep(BsdfValue& value, std::uint32_t kinds, bool below) {
+        if (!(kinds & (below ? ray_kind::transmission : ray_kind::diffuse))) value.diffuse = {};
+        if (!(kinds & (below ? ray_kind::transmission : ray_kind::glossy))) value.specular = {};
     }
 
     SVGF_HD Vec3 share_of(const BsdfValue& value) const {
@@ -108,12 +173,19 @@ private:
         return {1, 1, 1};
     }
 
-    // edges: rays from the first hit to the light. A value that is not finite is dropped.
-    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int edges) const {
+    // bounces: between the camera and the light. A value that is not finite is dropped.
+    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces) const {
         if (!is_finite(value)) return;
-        if (splits_direct) {
-            (edges == 1 ? light.first : light.second) += value;
-        } else if (covers(kernel, Effects::specular) && out_second_signal) {
+        if constexpr (has_limits) {
+            const float limit = 3.0f * (bounces > 1 ? limits.clamp_indirect : limits.clamp_direct);
+            const float sum = value.x + value.y + value.z;
+            if (limit > 0.0f && sum > limit) value *= limit / sum;
+        }
+        if (bounces == 0) {
+            light.emission += value;
+        } else if (splits_direct) {
+            (bounces == 1 ? light.first : light.second) += value;
+        } else if (covers(kernel, Effects::specular) && two_signals) {
             light.first += diffuse_share * value;
             light.second += (1.0f - diffuse_share) * value;
         } else {
@@ -121,50 +193,147 @@ private:
         }
     }
 
-    // Weight of light that the ray ran into; a mirror direction is found in no other way.
-    SVGF_HD static float hit_weight(const Path& path, float light_pdf) {
-        return path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf);
+    // Light that the ray of a path ran into. light_pdf: with which it would have been sampled; not asked for a mirror
+    // direction, which is found in no other way.
+    template <class LightPdf>
+    SVGF_HD void add_found(Gathered& light, const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
+        const float weight = path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf());
+        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces);
     }
 
-    // Lamps stop no ray: all that are crossed before the hit shine. Primary rays do not see them.
-    SVGF_HD void add_lamps(const Path& path, const Ray& ray, const Hit& hit, int vertex, Gathered& light) const {
-        if (scene.sized_lamp_count == 0) return;
-        for (int i = 0; i < scene.lamp_count; ++i) {
+    // Lamps stop no ray: all that are crossed before the hit shine.
+    SVGF_HD void add_lamps(const Path& path, const Hit& hit, Gathered& light) const {
+        const Ray& ray = path.ray;
+        for (int i = 0; i < scene.lights.lamp_count; ++i) {
+            const Light& lamp = scene.lights.rows[i];
             Vec3 radiance;
             float pdf;
-            if (cross_lamp(scene.lights[i], ray.origin, ray.direction, hit.t, radiance, pdf))
-                add(light, path.throughput * radiance * hit_weight(path, pdf), path.diffuse_share, vertex);
+            if (!(lamp.visibility & path.ray.kind)) continue;
+            if (cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, hit.t, radiance, pdf))
+                add_found(light, path, radiance, [&] {
+                    return pdf * choice_probability<kernel>(scene.lights, lamp, ray.origin, path.normal);
+                });
         }
     }
 
-    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Ray& ray, const Hit& hit, int vertex,
-                              Gathered& light) const {
-        const Vec3 emission = surface.emission;
-        if (vertex == 0) {
-            light.emission = emission;
+    SVGF_HD void add_world(const Path& path, Gathered& light) const {
+        if (transparent_film && path.bounces == 0) {
+            light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
             return;
         }
-        const float pdf = triangle_density(scene, scene.materials[surface.material_index].light_emission, hit.t, dot(surface.geometric_normal, ray.direction));
-        add(light, path.throughput * emission * hit_weight(path, pdf), path.diffuse_share, vertex);
+        if (!(scene.world.visibility & path.ray.kind)) return;
+        if constexpr (covers(kernel, Effects::environment_map)) {
+            const std::int32_t row = scene.world.light;
+            add_found(light, path, environment_radiance(scene, path.ray.direction), [&] {
+                return row < 0 ? 0.0f
+                               : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
+            });
+        } else {
+            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces);
+        }
     }
 
-    SVGF_HD void add_direct_light(const Sampler& sampler, const Path& path, const Surface& surface,
-                                  const Bsdf<kernel>& bsdf, int vertex, Gathered& light) const {
-        const int index = choose_light(scene, sampler.pair(SamplePair::light, vertex).x);
-        const LightSample found = sample_light(scene.lights[index], surface.position,
-                                               sampler.pair(SamplePair::light_point, vertex));
+    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, Gathered& light) const {
+        add_found(light, path, surface.emission, [&] {
+            const Light* row = find_light(scene, hit);
+            if (!row) return 0.0f;
+            const float cosine = dot(surface.geometric_normal, path.ray.direction);
+            return triangle_density(*row, hit.t, cosine) *
+                   choice_probability<kernel>(scene.lights, *row, path.ray.origin, path.normal);
+        });
+    }
+
+    SVGF_HD void find_direct_light(const Sampler& sampler, const Path& path, const Surface& surface,
+                                   const Bsdf<kernel>& bsdf, int vertex, ShadowRay& shadow) const {
+        const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.normal,
+                                                        sampler.pair(SamplePair::light, vertex));
+        if (choice.index < 0) return;
+        const Light& row = scene.lights.rows[choice.index];
+        const LightSample found = sample_light<kernel>(scene, row, choice.probability, surface.position,
+                                                       sampler.pair(SamplePair::light_point, vertex));
         if (!(found.pdf > 0.0f)) return;
-        const BsdfValue value = bsdf.evaluate(found.direction);
+        BsdfValue value = bsdf.evaluate(found.direction);
+        if constexpr (has_limits || covers(kernel, Effects::ray_visibility))
+            keep(value, row.visibility & allowed_kinds(path), dot(bsdf.geometric_normal, found.direction) < 0.0f);
         const float mis = found.delta ? 1.0f : power_heuristic(found.pdf, value.pdf);
         const Vec3 arriving = path.throughput * value.total() * found.radiance * (mis / found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
-        const Vec3 origin = offset_from_surface(surface, found.direction);
-        if (is_occluded(scene, {origin, found.direction, 0.0f, found.distance * shadow_ray_end})) return;
-        add(light, arriving, vertex == 0 ? share_of(value) : path.diffuse_share, vertex + 1);
+        shadow.ray = {offset_from_surface(surface, found.direction), found.direction, 0.0f, infinity, ray_kind::shadow};
+        if (found.distance < infinity) {
+            // To the very point: beside it, a light that is seen at an angle would shadow itself.
+            shadow.ray.direction = surface.position - shadow.ray.origin + found.direction * found.distance;
+            shadow.ray.t_max = shadow_ray_end;
+        }
+        shadow.light = arriving;
+        shadow.diffuse_share = path.bounces == 0 ? share_of(value) : path.diffuse_share;
+        shadow.bounces = path.bounces + 1;
+        shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
     }
 
-    SVGF_HD void accumulate(Vec3& out, Vec3 value) const {
+    // What is left of light that goes straight on to the end of a shadow ray.
+    SVGF_HD Vec3 transmittance(const Sampler& sampler, int vertex, const ShadowRay& shadow) const {
+        Ray ray = shadow.ray;
+        const Vec3 view = -normalize(ray.direction);
+        Vec3 left{1, 1, 1};
+        for (int i = 0; i <= shadow.surfaces; ++i) {
+            const Hit hit = find_closest_hit(scene, ray);
+            if (!hit.found()) return left;
+            if (i == shadow.surfaces) break;
+            left *= find_transmittance<kernel>(scene, hit, view, shadow_choice<kernel>(sampler, vertex, i));
+            if (!(max_component(left) > 0.0f)) break;
+            ray.t_min = hit.t;
+        }
+        return {};
+    }
+};
+
+// Images of a frame, to which samples are added.
+struct RadianceImages {
+    bool first_of_frame;  // overwrites the images, else adds to them
+    float weight;         // of this sample in the images
+    Vec3* out_emission;
+    Vec3* out_first_signal;
+    Vec3* out_second_signal;  // null: the first one gets all
+    float* out_alpha;         // null: the film is not transparent
+
+    SVGF_HD void add(int pixel, const Gathered& light) const {
+        accumulate(out_emission[pixel], light.emission);
+        accumulate(out_first_signal[pixel], light.first);
+        if (out_second_signal) accumulate(out_second_signal[pixel], light.second);
+        if (out_alpha) accumulate(out_alpha[pixel], light.alpha);
+    }
+
+private:
+    template <class Value>
+    SVGF_HD void accumulate(Value& out, Value value) const {
         out = first_of_frame ? value * weight : out + value * weight;
+    }
+};
+
+// A whole path at once, for the CPU. The GPU takes all paths from vertex to vertex together: trace/wavefront.h.
+template <Effects kernel>
+struct PathStage {
+    PathVertices<kernel> vertices;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    const Hit* in_hit;  // of the primary rays; null: they are traced here
+    RadianceImages out;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const Sampler sampler(x, y, camera.width, seed, sample);
+        const int pixel = y * camera.width + x;
+        Path path;
+        path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        Gathered light;
+        for (int vertex = 0;; ++vertex) {
+            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(vertices.scene, path.ray);
+            ShadowRay shadow;
+            const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
+            if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);
+            if (!goes_on) break;
+        }
+        out.add(pixel, light);
     }
 };
 

@@ -46,7 +46,8 @@ SVGF_HD inline bool has_reflection(const Material& material) {
 
 template <Effects kernel>
 SVGF_HD Orientation orient(const Surface& surface, Vec3 view) {
-    Orientation result{surface.shading_normal, surface.geometric_normal, {}, dot(surface.geometric_normal, view) > 0.0f};
+    Orientation result{surface.shading_normal, surface.geometric_normal, {},
+                       dot(surface.geometric_normal, view) > 0.0f};
     if (dot(result.geometric_normal, view) < 0.0f) result.geometric_normal = -result.geometric_normal;
     if (dot(result.normal, result.geometric_normal) < 0.0f) result.normal = -result.normal;
     if constexpr (covers(kernel, Effects::normal_maps)) {

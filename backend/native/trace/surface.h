@@ -43,7 +43,8 @@ SVGF_HD inline Vec3 interpolate(const Vec3 (&corner)[3], const Hit& hit) {
 SVGF_HD inline Vec2 interpolate_uv(const MeshView& mesh, std::int32_t layer, const Hit& hit) {
     if (layer >= mesh.uv_layers) return {};
     const CornerUvs& uvs = mesh.uvs[layer * mesh.triangle_count + hit.leaf_triangle];
-    return uvs.corner[0] + (uvs.corner[1] - uvs.corner[0]) * hit.weight1 + (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
+    return uvs.corner[0] + (uvs.corner[1] - uvs.corner[0]) * hit.weight1 +
+           (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
 }
 
 // Gives an input of a material the value of a texel. Shares stay shares, whatever an image holds: a surface reflects no
@@ -128,9 +129,11 @@ SVGF_HD inline UvAxes find_uv_axes(const MeshView& mesh, std::int32_t layer, con
     return {area > 0.0f ? along : -along, area < 0.0f};
 }
 
-// Turns the shading normal by the normal map. object_normal: interpolated, of any length. The tangent is that of the triangle, made
+// Turns the shading normal by the normal map. object_normal: interpolated, of any length. The tangent is that of the
+// triangle, made
 // perpendicular to the interpolated normal.
-SVGF_HD inline void apply_normal_map(const Instance& instance, const UvAxes& axes, Vec3 object_normal, Surface& surface) {
+SVGF_HD inline void apply_normal_map(const Instance& instance, const UvAxes& axes, Vec3 object_normal,
+                                     Surface& surface) {
     const Material& material = surface.material;
     const Vec3 n = normalize_any_length(object_normal);
     const Vec3 tangent = normalize_any_length(axes.tangent - n * dot(n, axes.tangent));
@@ -170,8 +173,8 @@ SVGF_HD inline float find_factor(const Material& material, Vec3 normal, Vec3 geo
     return material.factor;
 }
 
-// The material at a hit with the values of its maps. Of a mix, one part is chosen with its share as probability, of a sum
-// each with one half and twice its weight. choice: in [0, 1); what is left of it when all is chosen is left in it.
+// The material at a hit with the values of its maps. Of a mix, one part is chosen with its share as probability, of a
+// sum each with one half and twice its weight. choice: in [0, 1); what is left of it when all is chosen is left in it.
 template <Effects kernel>
 SVGF_HD void find_material(const SceneView& scene, const MeshView& mesh, const Hit& hit, Vec3 view, Surface& surface,
                            float& choice) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image lookups as Cycles does them: texels are interpolated as they are stored; then colours are divided by alpha where
-// they are stored times it, and decoded where they are sRGB.
+// Image lookups as Cycles does them: texels are interpolated as they are stored; then colours are divided by alpha
+// where they are stored times it, and decoded where they are sRGB.
 #pragma once
 
 #include "core/vec.h"

@@ -7,16 +7,25 @@
 
 #include "device/threads.h"
 #include "scene/bvh.h"
+#include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
+#include "trace/wavefront.h"
 
 namespace svgf {
 namespace {
 
+// Of surfaces, what takes most of the code and few scenes have.
+constexpr Effects rare_effects =
+    Effects::alpha | Effects::coat | Effects::sheen | Effects::anisotropy | Effects::material_mixes;
+
 // Every kernel is compiled once for each of these. The first one that covers the effects of a frame runs, so they go
-// from the cheapest to the one that covers everything.
+// from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
+// nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
-    without(Effects::all, Effects::specular | Effects::transmission),
+    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission),
+    without(Effects::all, rare_effects),
     Effects::all,
 };
 
@@ -180,6 +189,8 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
            "Each instance needs three transforms of 3 x 4.");
     expect(arrays.object_id.size() == count && arrays.material_start.size() == count,
            "Each instance needs an object id and a material start.");
+    expect(arrays.visibility.size() == count && arrays.emitter.size() == count,
+           "Each instance needs a visibility and an emitter.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 instances.");
 
     std::vector<Instance> instances(count);
@@ -197,7 +208,8 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
             placements[i] = {with_centre(matrix_at(arrays.object_to_world, i), mesh.centre()),
                              with_centre(matrix_at(arrays.previous_object_to_world, i), mesh.centre())};
             instances[i] = {inverse_of(placements[i].object_to_world, matrix_at(arrays.world_to_object, i)),
-                            arrays.mesh[i], arrays.object_id[i], arrays.material_start[i]};
+                            arrays.mesh[i], arrays.object_id[i], arrays.material_start[i], arrays.visibility[i],
+                            std::uint32_t(arrays.emitter[i] + 1)};
             boxes[i] = instance_bounds(mesh.bounds(), placements[i].object_to_world, instances[i].world_to_object);
         }
     });
@@ -205,6 +217,12 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     for (const std::int32_t material : arrays.material_table) {
         expect(material >= 0, "The material table names a material that is not there.");
         largest_material_ = std::max(largest_material_, material);
+    }
+
+    largest_emitter_ = -1;
+    for (const std::int32_t emitter : arrays.emitter) {
+        expect(emitter >= -1 && emitter < (1 << 24) - 1, "An instance names an emitter that is not there.");
+        largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
     const Bvh bvh = build_bvh(boxes, 1);
@@ -219,6 +237,7 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     mesh_views_ = Buffer<MeshView>(device_, std::span<const MeshView>(views), "meshes");
     material_table_ = Buffer<std::int32_t>(device_, arrays.material_table, "the material table");
     scene_.nodes = nodes_.data();
+    scene_.has_one_instance = order.size() == 1;
     scene_.instance_order = instance_order_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
@@ -258,55 +277,127 @@ void Tracer::set_albedo_tables(std::span<const float> tables) {
 
 void Tracer::set_lights(const Lights& arrays) {
     const std::size_t count = arrays.kind.size();
-    expect(arrays.data.size() == 24 * count && arrays.probability.size() == count,
-           "Each light needs 24 values and a probability.");
-    expect(arrays.cdf.size() == count + 1 || count == 0, "The lights' cdf must be [L + 1].");
+    expect(arrays.data.size() == 24 * count && arrays.probability.size() == count &&
+               arrays.visibility.size() == count && arrays.emission_map.size() == count,
+           "Each light needs 24 values, a probability, a visibility and an emission map.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 lights.");
-    std::vector<Light> lights = rows_of<Light>(arrays.data);
-    scene_.lamp_count = scene_.sized_lamp_count = 0;
+    const std::size_t leaves = arrays.light_of_leaf.size(), maps = arrays.emission_maps.size() / 8;
+    expect(leaves == 0 ? arrays.tree.empty() : arrays.tree.size() == 12 * (2 * leaves - 1) && !(leaves & (leaves - 1)),
+           "The light tree must have 2^n leaves and 2^(n + 1) - 1 nodes of 12 values.");
+    std::vector<Light> lights(count);
+    LightsView view;
+    largest_texture_ = -1;
     for (std::size_t i = 0; i < count; ++i) {
         Light& light = lights[i];
+        std::memcpy(static_cast<void*>(&light), arrays.data.data() + 24 * i, 24 * sizeof(float));
         light.kind = LightKind(arrays.kind[i]);
+        light.visibility = arrays.visibility[i];
         light.probability = arrays.probability[i];
+        light.emission_map = arrays.emission_map[i];
+        light.leaf = -1;
         light.radiance = cleaned_color(light.radiance);
-        expect(light.kind >= LightKind::point && light.kind <= LightKind::triangle, "Unknown kind of light.");
+        expect(light.kind >= LightKind::point && light.kind <= LightKind::environment, "Unknown kind of light.");
+        expect(light.emission_map >= -1 && light.emission_map < std::int32_t(maps),
+               "A light names an emission map that is not there.");
         if (light.kind == LightKind::triangle) continue;
-        expect(std::size_t(scene_.lamp_count) == i, "Lamps must come before triangles.");
-        ++scene_.lamp_count;
-        if (light.is_delta == 0.0f) ++scene_.sized_lamp_count;
+        expect(std::size_t(view.lamp_count) == i, "Lamps must come before triangles.");
+        ++view.lamp_count;
+        if (light.is_delta == 0.0f && light.kind != LightKind::environment) view.sized_lamps_seen_by |= light.visibility;
+    }
+    for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
+        const std::int32_t light = arrays.light_of_leaf[leaf];
+        expect(light >= -1 && light < std::int32_t(count), "The light tree names a light that is not there.");
+        if (light >= 0) lights[std::size_t(light)].leaf = std::int32_t(leaf);
+    }
+    std::vector<Emitter> emitters(arrays.emitters.size() / 2);
+    for (std::size_t i = 0; i < emitters.size(); ++i) {
+        emitters[i] = {arrays.emitters[2 * i], arrays.emitters[2 * i + 1]};
+        expect(emitters[i].first_light >= 0 && emitters[i].table >= 0, "An emitter starts before the first light.");
+    }
+    std::vector<EmissionMap> emission_maps(maps);
+    for (std::size_t i = 0; i < maps; ++i) {
+        const float* row = arrays.emission_maps.data() + 8 * i;
+        emission_maps[i] = {{{row[0], row[1]}, {row[2], row[3]}, {row[4], row[5]}}, std::int32_t(row[6]), 0};
+        expect(emission_maps[i].texture >= 0, "A light names a texture that is not there.");
+        largest_texture_ = std::max(largest_texture_, emission_maps[i].texture);
     }
     lights_ = Buffer<Light>(device_, std::span<const Light>(lights), "lights");
     light_cdf_ = Buffer<float>(device_, arrays.cdf, "lights");
-    scene_.lights = lights_.data();
-    scene_.light_cdf = light_cdf_.data();
-    scene_.light_count = std::int32_t(count);
-    scene_.triangle_light_scale = is_finite(arrays.triangle_light_scale) ? arrays.triangle_light_scale : 0.0f;
-    scene_.world_radiance = cleaned_color(
-        {arrays.world_radiance[0], arrays.world_radiance[1], arrays.world_radiance[2]});
+    const std::vector<LightNode> nodes = rows_of<LightNode>(arrays.tree);
+    light_tree_ = Buffer<LightNode>(device_, std::span<const LightNode>(nodes), "the light tree");
+    light_of_leaf_ = Buffer<std::int32_t>(device_, arrays.light_of_leaf, "the light tree");
+    emitters_ = Buffer<Emitter>(device_, std::span<const Emitter>(emitters), "lights");
+    light_of_triangle_ = Buffer<std::int32_t>(device_, arrays.light_of_triangle, "lights");
+    emission_maps_ = Buffer<EmissionMap>(device_, std::span<const EmissionMap>(emission_maps), "lights");
+    view.rows = lights_.data();
+    view.count = std::int32_t(count);
+    view.cdf = light_cdf_.data();
+    view.interval_count = std::max(std::int32_t(arrays.cdf.size()) - 1, 0);
+    view.nodes = leaves ? light_tree_.data() : nullptr;
+    view.light_of_leaf = light_of_leaf_.data();
+    for (std::size_t n = leaves; n > 1; n /= 2) ++view.tree_depth;
+    view.emitters = emitters_.data();
+    view.light_of_triangle = light_of_triangle_.data();
+    view.emission_maps = emission_maps_.data();
+    expect(std::size_t(view.interval_count) <= count + (leaves ? 1 : 0), "The lights' cdf has too many intervals.");
+    scene_.lights = view;
+}
+
+void Tracer::set_world(const World& arrays) {
+    WorldView view;
+    view.radiance = cleaned_color({arrays.radiance[0], arrays.radiance[1], arrays.radiance[2]});
+    view.visibility = arrays.visibility;
+    view.texture = std::max(arrays.texture, -1);
+    view.light = arrays.light;
+    for (int row = 0; row < 3; ++row)
+        view.to_environment[row] = {arrays.to_environment[std::size_t(3 * row)],
+                                    arrays.to_environment[std::size_t(3 * row + 1)],
+                                    arrays.to_environment[std::size_t(3 * row + 2)]};
+    const std::size_t rows = std::size_t(std::max(arrays.rows, 0)), columns = std::size_t(std::max(arrays.columns, 0));
+    expect(rows == 0 || (arrays.row_cdf.size() == rows + 1 && arrays.column_cdf.size() == rows * (columns + 1)),
+           "The environment's cdfs must be [rows + 1] and [rows, columns + 1].");
+    row_cdf_ = Buffer<float>(device_, arrays.row_cdf, "the environment");
+    column_cdf_ = Buffer<float>(device_, arrays.column_cdf, "the environment");
+    view.row_cdf = row_cdf_.data();
+    view.column_cdf = column_cdf_.data();
+    view.rows = std::int32_t(rows);
+    view.columns = std::int32_t(columns);
+    scene_.world = view;
 }
 
 void Tracer::set_camera(const Cameras& arrays) {
-    const auto camera = [&](std::span<const float, 12> to_world, std::span<const float, 4> window) {
+    const auto camera = [&](std::span<const float, 12> to_world, std::span<const float, 4> window,
+                            std::span<const float, 6> lens) {
         return Camera{.to_world = matrix_at(to_world, 0),
                       .left = window[0],
                       .right = window[1],
                       .bottom = window[2],
                       .top = window[3],
                       .near_clip = arrays.clip[0],
-                      .far_clip = arrays.clip[1]};
+                      .far_clip = arrays.clip[1],
+                      .is_orthographic = lens[0] != 0.0f,
+                      .aperture = {lens[1], lens[2], lens[3], lens[4], lens[5]}};
     };
-    camera_ = camera(arrays.camera_to_world, arrays.window);
-    previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window);
+    camera_ = camera(arrays.camera_to_world, arrays.window, arrays.lens);
+    previous_camera_ = camera(arrays.previous_camera_to_world, arrays.previous_window, arrays.previous_lens);
 }
+
+std::span<const Effects> Tracer::kernels() { return kernel_effects; }
 
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
-    expect(frame.samples >= 1 && frame.bounces >= 0, "There must be at least one sample, and no negative bounces.");
+    expect(frame.samples >= 1 && frame.light_paths.bounces >= 0,
+           "There must be at least one sample, and no negative bounces.");
+    expect(std::size_t(largest_emitter_ + 1) <= emitters_.size(), "An instance names an emitter that is not there.");
+    expect(scene_.world.light < scene_.lights.count, "The world names a light that is not there.");
+    expect(std::size_t(std::max(largest_texture_, scene_.world.texture) + 1) <= textures_.size(),
+           "A light or the world names a texture that is not there.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
     expect(scene_.albedo_tables, "There are no tables of albedos yet.");
-    return with_kernel(Effects(frame.effects), [&]<Effects kernel>() { return trace_with<kernel>(frame); });
+    return with_kernel(Effects(frame.effects) | Effects(frame.kernel),
+                       [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
 
 template <Effects kernel>
@@ -329,7 +420,11 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     }
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
     const bool splits_direct = frame.signals == Signals::direct_indirect;
-    const bool two_signals = splits_direct || covers(Effects(frame.effects), Effects::specular);
+    const Effects effects{frame.effects};
+    const bool has_specular = covers(effects, Effects::specular);
+    const bool two_signals = splits_direct || has_specular;
+    const bool has_motion =
+        (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
     Buffer<Hit> hits(device_, pixels, "primary hits");
     GbufferStage<kernel> gbuffer{
@@ -339,7 +434,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .sample = frame.sample,
         .seed = frame.seed,
         .box_filter = box_filter,
-        .camera_moves = covers(Effects(frame.effects), Effects::camera_motion),
+        .camera_moves = covers(effects, Effects::camera_motion),
+        .transparent_bounces = frame.light_paths.transparent_bounces,
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
@@ -348,32 +444,123 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_material_id = integers("material_id"),
         .out_roughness = floats("roughness", 1),
         .out_diffuse_albedo = vectors("diffuse_albedo"),
-        .out_specular_albedo = vectors("specular_albedo"),
-        .out_motion = vectors("motion"),
+        .out_specular_albedo = has_specular ? vectors("specular_albedo") : nullptr,
+        .out_motion = has_motion ? vectors("motion") : nullptr,
     };
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
 
-    PathStage<kernel> path{
-        .scene = scene_,
-        .camera = camera_,
-        .sample = frame.sample,
-        .seed = frame.seed,
-        .bounces = frame.bounces,
-        .box_filter = box_filter,
-        .splits_direct = splits_direct,
+    const PathVertices<kernel> vertices{.scene = scene_,
+                                        .limits = frame.light_paths,
+                                        .transparent_film = frame.transparent_film,
+                                        .splits_direct = splits_direct,
+                                        .two_signals = two_signals};
+    RadianceImages radiance{
         .first_of_frame = true,
         .weight = 1.0f / float(frame.samples),
-        .in_hit = hits.data(),
         .out_emission = vectors("emission"),
         .out_first_signal = vectors(splits_direct ? "direct" : "diffuse"),
         .out_second_signal = two_signals ? vectors(splits_direct ? "indirect" : "specular") : nullptr,
+        .out_alpha = frame.transparent_film ? floats("alpha", 1) : nullptr,
     };
-    for (int i = 0; i < frame.samples; ++i) {
-        device_.launch("path", frame.width, frame.height, path);
-        ++path.sample;
-        path.first_of_frame = false;
-        // Through the pixels' centres all samples start with the same ray.
-        if (box_filter) path.in_hit = nullptr;
+    // With a lens each sample has a ray of its own even through the middle of the pixel.
+    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;
+    if constexpr (Device::follows_paths_together) {
+        trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
+    } else {
+        PathStage<kernel> path{.vertices = vertices,
+                               .camera = camera_,
+                               .sample = frame.sample,
+                               .seed = frame.seed,
+                               .box_filter = box_filter,
+                               .in_hit = hits.data(),
+                               .out = radiance};
+        for (int i = 0; i < frame.samples; ++i) {
+            device_.launch("path", frame.width, frame.height, path);
+            ++path.sample;
+            path.out.first_of_frame = false;
+            if (!same_rays) path.in_hit = nullptr;
+        }
+    }
+    return images;
+}
+
+template <Effects kernel>
+void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+                             const Hit* first_hits, RadianceImages out) {
+    const int width = frame.width, height = frame.height, pixels = width * height;
+    const bool box_filter = frame.pixel_filter == PixelFilter::box;
+    // The last ray of a path only looks for light; what lets it straight through is a vertex, too.
+    const bool has_alpha = covers(Effects(frame.effects), Effects::alpha);
+    const int vertex_count = frame.light_paths.bounces + 2 + (has_alpha ? frame.light_paths.transparent_bounces + 1 : 0);
+    Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
+    Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
+    Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
+    Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
+    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
+    Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
+    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
+    const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
+    const auto path_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
+    };
+    const auto shadow_queue = [&](int vertex) {
+        return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
+    };
+    std::uint32_t sample = frame.sample;
+    for (int i = 0; i < frame.samples; ++i, ++sample) {
+        counts.clear();
+        if (i > 0 && !same_rays) {
+            device_.launch("path extend", width, height,
+                           FirstExtendStage<kernel>{scene_, camera_, sample, frame.seed, box_filter, hits.data()});
+            first_hits = hits.data();
+        }
+        device_.launch("path shade", width, height,
+                       FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
+                                               path_queue(1), shadow_queue(0)});
+        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
+                             ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, 0,
+                                                 shadow_queue(0).pixels});
+        for (int vertex = 1; vertex < vertex_count; ++vertex) {
+            const PixelQueue queue = path_queue(vertex);
+            device_.launch_queue("path extend", pixels, queue.count, ExtendStage{scene_, memory, queue.pixels});
+            device_.launch_queue("path shade", pixels, queue.count,
+                                 ShadeStage<kernel>{vertices, memory, width, sample, frame.seed, vertex, queue.pixels,
+                                                    path_queue(vertex + 1), shadow_queue(vertex)});
+            if (vertex + 1 < vertex_count)
+                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
+                                     ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, vertex,
+                                                         shadow_queue(vertex).pixels});
+            // Many vertices are rarely used up, and a launch for nothing costs time, too.
+            if (vertex % 16 == 0) {
+                std::int32_t left;
+                device_.download(&left, path_queue(vertex + 1).count, sizeof(left));
+                if (left == 0) break;
+            }
+        }
+        device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
+        out.first_of_frame = false;
+    }
+}
+
+std::vector<Image> Tracer::cast(std::span<const float> rays, int width, int height, bool any_hit) {
+    expect(width >= 1 && height >= 1 && std::int64_t(width) * height < (std::int64_t(1) << 28) &&
+               rays.size() == 8 * std::size_t(width) * std::size_t(height),
+           "Rays must be [H, W, 8], at least one and at most 2^28.");
+    const std::size_t count = std::size_t(width) * std::size_t(height);
+    const Buffer<GivenRay> in(device_, std::span(reinterpret_cast<const GivenRay*>(rays.data()), count), "rays");
+    std::vector<Image> images;
+    const auto integers = [&](const char* name) {
+        images.push_back({name, 1, Buffer<std::int32_t>(device_, count, name)});
+        return std::get<Buffer<std::int32_t>>(images.back().pixels).data();
+    };
+    if (any_hit) {
+        device_.launch("occluded", width, height, OccludedStage{scene_, width, in.data(), integers("occluded")});
+    } else {
+        images.push_back({"distance", 1, Buffer<float>(device_, count, "distance")});
+        float* const distance = std::get<Buffer<float>>(images.back().pixels).data();
+        std::int32_t* const instance = integers("instance");
+        device_.launch("closest", width, height,
+                       ClosestStage{scene_, width, in.data(), distance, instance, integers("triangle")});
     }
     return images;
 }

@@ -16,8 +16,14 @@
 #include "scene/mesh.h"
 #include "scene/texture.h"
 #include "trace/camera.h"
+#include "trace/light_paths.h"
 
 namespace svgf {
+
+struct Hit;
+template <Effects kernel>
+struct PathVertices;
+struct RadianceImages;
 
 enum class PixelFilter { box, center };
 enum class Signals { diffuse_specular, direct_indirect };
@@ -42,16 +48,34 @@ public:
         std::span<const std::int32_t> object_id;          // [N]
         std::span<const std::int32_t> material_start;     // [N]
         std::span<const std::int32_t> material_table;
+        std::span<const std::uint8_t> visibility;         // [N]
+        std::span<const std::int32_t> emitter;            // [N], index into Lights::emitters, or -1
     };
 
-    // L lights, lamps before triangles.
+    // L lights: suns, the environment, other lamps, triangles.
     struct Lights {
-        std::span<const std::int32_t> kind;  // [L]
-        std::span<const float> data;         // [L, 24]
-        std::span<const float> probability;  // [L]
-        std::span<const float> cdf;          // [L + 1]; may be empty if L is 0
-        float triangle_light_scale = 0;
-        std::array<float, 3> world_radiance{};
+        std::span<const std::int32_t> kind;               // [L]
+        std::span<const float> data;                      // [L, 24]
+        std::span<const std::uint8_t> visibility;         // [L]
+        std::span<const float> probability;               // [L]
+        std::span<const float> cdf;                       // [intervals + 1]; may be empty if there is none
+        std::span<const float> tree;                      // [2^(depth + 1) - 1, 12], or empty
+        std::span<const std::int32_t> light_of_leaf;      // [2^depth]
+        std::span<const std::int32_t> emitters;           // [E, 2]
+        std::span<const std::int32_t> light_of_triangle;
+        std::span<const std::int32_t> emission_map;       // [L], row of emission_maps, or -1
+        std::span<const float> emission_maps;             // [K, 8]
+    };
+
+    struct World {
+        std::array<float, 3> radiance{};
+        std::uint32_t visibility = 0;
+        std::int32_t texture = -1;                  // index into the textures of set_materials
+        std::int32_t light = -1;                    // the environment's row of the lights
+        std::array<float, 9> to_environment{};      // by rows
+        std::int32_t rows = 0, columns = 0;         // 0: directions are not sampled by the image
+        std::span<const float> row_cdf;             // [rows + 1]
+        std::span<const float> column_cdf;          // [rows, columns + 1]
     };
 
     struct Cameras {
@@ -59,7 +83,9 @@ public:
         std::span<const float, 12> previous_camera_to_world;  // [3, 4]
         std::span<const float, 4> window;                     // left, right, bottom, top
         std::span<const float, 4> previous_window;
-        std::span<const float, 2> clip;  // near, far
+        std::span<const float, 2> clip;              // near, far
+        std::span<const float, 6> lens;              // as FlatScene.lens
+        std::span<const float, 6> previous_lens;
     };
 
     struct Frame {
@@ -67,8 +93,10 @@ public:
         std::uint32_t sample = 0;   // running number of the first sample
         int samples = 1;            // >= 1, of each pixel
         std::uint32_t seed = 0;
-        int bounces = 0;            // >= 0; 0 is direct light
+        LightPaths light_paths;
+        bool transparent_film = false;
         std::uint32_t effects = 0;  // bits of Effects: all that the scene has, at least
+        std::uint32_t kernel = 0;   // more that the kernel must cover, to measure what it costs
         PixelFilter pixel_filter = PixelFilter::center;
         Signals signals = Signals::diffuse_specular;
     };
@@ -81,17 +109,30 @@ public:
                        std::vector<std::shared_ptr<Texture>> textures);
     void set_albedo_tables(std::span<const float> tables);  // of trace/microfacet.h
     void set_lights(const Lights& arrays);
+    void set_world(const World& arrays);
     void set_camera(const Cameras& arrays);
 
     // Stages "gbuffer" and "path". The images: "normal" 3, "depth", "depth_gradient" 2, "object_id" (int),
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
-    // "direct" and "indirect"; "specular" is left out where the effects lack it.
+    // "direct" and "indirect". Left out: "specular" and "specular_albedo" where the effects lack specular, "motion" where
+    // nothing moves. With a transparent film, "alpha" too.
     std::vector<Image> trace(const Frame& frame);
+
+    // What each kernel simulates, from the cheapest on: the first one that covers a frame's effects runs.
+    static std::span<const Effects> kernels();
+
+    // rays: [height, width, 8], origin, direction, and the distances between which hits count, in lengths of the
+    // direction. Stage "closest": images "distance", infinity where nothing is hit, "instance" and "triangle" (int),
+    // -1 there. With any_hit stage "occluded": image "occluded" (int), 0 or 1.
+    std::vector<Image> cast(std::span<const float> rays, int width, int height, bool any_hit);
 
 private:
     template <Effects kernel>
     std::vector<Image> trace_with(const Frame& frame);
+    template <Effects kernel>
+    void trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+                         const Hit* first_hits, RadianceImages out);
 
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;
@@ -108,7 +149,15 @@ private:
     Buffer<float> albedo_tables_;
     Buffer<Light> lights_;
     Buffer<float> light_cdf_;
+    Buffer<LightNode> light_tree_;
+    Buffer<std::int32_t> light_of_leaf_;
+    Buffer<Emitter> emitters_;
+    Buffer<std::int32_t> light_of_triangle_;
+    Buffer<EmissionMap> emission_maps_;
+    Buffer<float> row_cdf_, column_cdf_;
     int largest_material_ = -1;  // that the table names
+    int largest_emitter_ = -1;   // that an instance names
+    int largest_texture_ = -1;   // that lights and the world name
     SceneView scene_;
     Camera camera_, previous_camera_;
 };

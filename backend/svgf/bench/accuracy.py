@@ -95,7 +95,8 @@ def measure(
             frame = render(renderer, scene)
             if index >= unmeasured:
                 reference = references[index - unmeasured]
-                denoising = sum(ms for stage, ms in frame.timings.items() if stage not in ("update", "gbuffer", "path"))
+                before = ("update", "refit", "gbuffer", "path")
+                denoising = sum(ms for stage, ms in frame.timings.items() if stage not in before)
                 tracing = frame.timings["gbuffer"] + frame.timings["path"]
                 result.add(frame.color, reference, tracing + denoising)
                 given.add(frame.noisy, reference, tracing)

@@ -22,7 +22,7 @@ from ..scene import Scene
 WHOLE_FRAME = "whole frame"
 EXPORT = "export"
 # Every other stage of a frame belongs to the denoiser.
-_BEFORE_DENOISING = ("update", "gbuffer", "path")
+_BEFORE_DENOISING = ("update", "refit", "gbuffer", "path")
 DENOISE_TOTAL = "denoise, all"
 
 

@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from ..errors import Error
 from ..io.files import file_error
-from . import bench, compare, demo, denoise, doctor, export, render
+from . import bench, compare, demo, denoise, doctor, export, extension, render
 
 __all__ = ["app", "main"]
 
@@ -53,6 +53,7 @@ app.command("demo")(demo.demo)
 app.command("render")(render.render)
 app.command("denoise")(denoise.denoise)
 app.command("export")(export.export)
+app.command("extension")(extension.extension)
 app.command("compare")(compare.compare)
 app.add_typer(bench.app, name="bench")
 app.command("doctor")(doctor.doctor)

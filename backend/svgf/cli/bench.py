@@ -7,11 +7,11 @@ import csv
 import io
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -138,6 +138,25 @@ def accuracy(
 
 
 @app.command()
+def export(
+    tries: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Each change is measured so often; the best counts.")
+    ] = 5,
+    as_json: JsonOption = False,
+) -> None:
+    """What it costs to bring a change in Blender to the renderer: milliseconds, and how much is exported."""
+    from .progress import silence
+    from .sources import load_export_timings
+
+    with silence(1):
+        rows = load_export_timings()(tries)
+    if as_json:
+        typer.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    else:
+        _print_export(rows)
+
+
+@app.command()
 def denoise(
     sizes: Annotated[
         list[str] | None,
@@ -252,6 +271,134 @@ def ablation(
         _print_ablation(rows, title)
 
 
+@app.command()
+def rays(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Scenes besides the generated ones.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="One ray of each kind per pixel.")] = "1920x1080",
+    device: DeviceOption = "auto",
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Launches of each kind.")] = 16,
+    mitsuba: Annotated[bool, typer.Option("--mitsuba", help="Trace the same rays with Mitsuba 3, too.")] = False,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw rays per second as a PNG.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Rays per second in generated rooms, a Cornell box at three depths, and what scenes cost to build and update."""
+    from ..bench.rays import measure, plot
+    from ..devices import open_device
+
+    image_size = parse_size(size)
+    opened = open_device(device)
+    scenes = [(path.stem, _read(path, image_size, 1)[0][0]) for path in files or ()]
+    rows = measure(opened, scenes, image_size, count, mitsuba)
+    title = f"{opened.description} ({opened.name}), {size}: medians of {count} launches"
+    _write(rows, csv_file, plot_file, lambda: plot(rows, title))
+    if as_json:
+        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
+        return
+    _print_rows(
+        title,
+        ("scene", "what", "triangles", "ms", "Grays/s"),
+        [
+            (row.scene, row.what, f"{row.triangles:,}", f"{row.milliseconds:.3f}", f"{row.gigarays:.3f}" if row.rays else "")
+            for row in rows
+        ],
+    )
+
+
+@app.command()
+def effects(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Scenes; Mitsuba's Cornell box and those that come with svgf by default.", show_default=False),
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1920x1080",
+    device: DeviceOption = "auto",
+    bounces: Annotated[
+        int | None, typer.Option(metavar="N", help="Light bounces. Default: what the file says.")
+    ] = None,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure, with and without.")] = 16,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures to a file, too.")
+    ] = None,
+    plot_file: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw them as a PNG.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What each effect of a scene costs, and what the kernel that simulates everything would."""
+    from ..bench.effects import measure, plot
+    from ..bench.generated import cornell_box
+    from ..devices import open_device
+    from .progress import progress_bar
+
+    image_size = parse_size(size)
+    opened = open_device(device)
+    # The second frame: what moves in the scene has moved.
+    scenes = [(path.stem, _read(path, image_size, 2)[0][-1]) for path in _paths(files)]
+    if not files:
+        scenes.insert(0, ("cornell_box", cornell_box(image_size)))
+    rows = []
+    with progress_bar("Measuring", len(scenes)) as bar:
+        for name, scene in scenes:
+            rows += measure(opened, name, scene, image_size, bounces, count)
+            bar.step()
+    title = f"{opened.description} ({opened.name}), {size}, 1 sample per pixel: medians of {count} frames"
+    _write(rows, csv_file, plot_file, lambda: plot(rows, title))
+    if as_json:
+        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows]}, indent=1))
+        return
+    _print_rows(
+        title,
+        ("scene", "effect", "ms on", "ms off", "cost", "B/pixel on", "B/pixel off"),
+        [
+            (
+                row.scene,
+                row.what.lower().replace("_", " "),
+                f"{row.on_ms:.3f}",
+                f"{row.off_ms:.3f}",
+                f"{row.on_ms - row.off_ms:+.3f}",
+                f"{row.on_bytes:.0f}",
+                f"{row.off_bytes:.0f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _write(rows: Sequence, csv_file: Path | None, plot_file: Path | None, plot: Callable[[], bytes]) -> None:
+    from ..io.files import replacing
+
+    if csv_file is not None:
+        with replacing(csv_file) as file:
+            file.write(_csv(rows).encode())
+    if plot_file is not None:
+        with replacing(plot_file) as file:
+            file.write(plot())
+
+
+def _print_rows(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> None:
+    """A table whose first two columns are names; a line between scenes."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table()
+    for index, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if index < 2 else "right")
+    last = rows[0][0]
+    for row in rows:
+        if row[0] != last:
+            table.add_section()
+            last = row[0]
+        table.add_row(*row)
+    console = Console(highlight=False)
+    console.print(title, markup=False, soft_wrap=True)
+    console.print(table)
+
+
 def _paths(files: list[Path] | None) -> list[Path]:
     from .sources import shipped_scenes
 
@@ -281,7 +428,8 @@ def _timed(scenes: Iterator[Scene], most: int) -> Iterator[tuple[Scene, float]]:
         yield scene, (time.perf_counter() - start) * 1e3
 
 
-def _csv(rows: Sequence[StageTime] | Sequence[Accuracy] | Sequence[StageCost] | Sequence[Ablation]) -> str:
+def _csv(rows: Sequence) -> str:
+    """rows: of one dataclass."""
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
     writer.writeheader()
@@ -332,6 +480,19 @@ def _print_accuracy(rows: list[Accuracy], title: str) -> None:
     console = Console(highlight=False)
     console.print(title, markup=False, soft_wrap=True)
     console.print(table)
+
+
+def _print_export(rows: Sequence[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("change")
+    for heading in ("ms", "processor ms", *(field.name for field in fields(rows[0])[3:])):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        change, milliseconds, processor_milliseconds, *counts = asdict(row).values()
+        table.add_row(change, f"{milliseconds:.2f}", f"{processor_milliseconds:.2f}", *map(str, counts))
+    Console(highlight=False).print(table)
 
 
 def _print_ablation(rows: list[Ablation], title: str) -> None:

@@ -41,6 +41,7 @@ def doctor(
         scenes = _read(file)
         show(f"{file}, frame {scenes[0].frame}", _contents(file, scenes))
         show("Effects", _effects(scenes))
+        show("Kernel of each device", _kernels(scenes))
         for warning in dict.fromkeys(warning for scene in scenes for warning in scene.warnings):
             console.print(f"Warning: {warning}", markup=False, soft_wrap=True)
 
@@ -135,6 +136,25 @@ def _effects(scenes: Sequence[Scene]) -> Table:
     table = _table("effect", "simulated", "because of")
     for effect in Effects:
         table.add_row(effect.name, "yes" if effect in found else "no", found.get(effect, ""))
+    return table
+
+
+def _kernels(scenes: Sequence[Scene]) -> Table:
+    """The kernel that the scene's most demanding frame takes."""
+    from functools import reduce
+
+    from ..devices import available_devices, open_device
+    from ..effects import Effects, find_effects
+
+    effects = reduce(Effects.__or__, map(find_effects, scenes))
+    table = _table("device", "kernel", "compiled without")
+    for info in available_devices():
+        if not info.available:
+            continue
+        device = open_device(info.name)
+        kernel = device.kernel_for(effects)
+        place = f"{device.kernels.index(kernel) + 1} of {len(device.kernels)}"
+        table.add_row(info.name, place, ", ".join(effect.name for effect in Effects if effect not in kernel) or "nothing")
     return table
 
 

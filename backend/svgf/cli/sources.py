@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from ..errors import InputError
 from ..frame_range import format_frames
@@ -52,14 +54,23 @@ def open_scenes(
 
 def load_exporter() -> Callable[..., Iterator[Scene]]:
     """The add-on's ``export_file``. Raises InputError where Blender's module or the add-on is not installed."""
+    return _import_addon("export").export_file
+
+
+def load_export_timings() -> Callable[[int], list[Any]]:
+    """The add-on's ``export.timings.measure``. Raises InputError like ``load_exporter``."""
+    return _import_addon("export.timings").measure
+
+
+def _import_addon(module: str) -> ModuleType:
     try:
-        return importlib.import_module("svgf_blender.export").export_file
+        return importlib.import_module(f"svgf_blender.{module}")
     except ModuleNotFoundError as error:
         if error.name in ("bpy", "mathutils"):
             raise InputError(
                 "Reading .blend files needs the bpy package.", "Install it with: pip install 'svgf[blender]'"
             ) from error
-        if error.name in ("svgf_blender", "svgf_blender.export"):
+        if (error.name or "").startswith("svgf_blender"):
             raise InputError(
                 "Reading .blend files needs svgf's add-on, which this installation lacks.", "Install svgf again."
             ) from error

@@ -13,14 +13,14 @@ import io
 import mmap
 import os
 import struct
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..frame import Frame
+from ..passes import PASSES
 from .files import file_error, replacing
 
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -30,37 +30,6 @@ _FREE_BYTES = 4 << 30
 _LARGEST_EXPANSION = 1100
 # The order in which the channels of a pass are stacked; other suffixes follow, sorted.
 _CHANNEL_ORDER = "RGBAXYZWV"
-
-
-@dataclass(frozen=True)
-class _Pass:
-    name: str
-    channels: str
-    pixels: np.ndarray
-    unit: str
-
-
-def _passes(frame: Frame) -> Iterable[_Pass]:
-    opaque = np.ones((frame.height, frame.width, 1), np.float32)
-    motion = frame.motion
-    next_frame = np.zeros((frame.height, frame.width, 2), np.float32)
-    # Cycles' y axis points up, ours down.
-    vector = np.concatenate([motion[..., 0:1], -motion[..., 1:2], next_frame], axis=2)
-    radiance = "W/(m^2 sr), linear Rec.709"
-    yield _Pass("Combined", "RGBA", np.concatenate([frame.color, opaque], axis=2), f"{radiance}, denoised")
-    yield _Pass("Noisy Image", "RGBA", np.concatenate([frame.noisy, opaque], axis=2), f"{radiance}, as traced")
-    yield _Pass("Denoising Albedo", "RGB", frame.albedo, "1, diffuse plus specular reflectance")
-    yield _Pass("Normal", "XYZ", frame.normal, "1, world space, 0 on the background")
-    yield _Pass("Depth", "Z", frame.depth, "m, along the camera's axis, 1e10 on the background")
-    yield _Pass(
-        "Vector", "XYZW", vector,
-        "px, x right, y up; XY = position at the previous frame - position now; ZW (next frame) unknown: 0",
-    )  # fmt: skip
-    yield _Pass("Depth Change", "V", motion[..., 2], "m, expected depth at the previous frame - depth now")
-    yield _Pass("Object Index", "X", frame.object_id, "1, number of the object, 0 on the background")
-    yield _Pass("Denoising Roughness", "X", frame.roughness, "1, Principled BSDF's roughness")
-    yield _Pass("Variance", "V", frame.variance, "(W/(m^2 sr))^2, of the luminance, left over by the filter")
-    yield _Pass("History Length", "V", frame.history_length, "frames in the temporal mean")
 
 
 def write(
@@ -84,11 +53,11 @@ def write(
         "Frame": f"{frame.frame:03d}",
     }
     channels = {}
-    for image in _passes(frame):
-        header[f"svgf.unit.{image.name}"] = image.unit
-        planes = image.pixels.reshape(frame.height, frame.width, len(image.channels))
-        for index, channel in enumerate(image.channels):
-            channels[f"{layer}.{image.name}.{channel}"] = np.ascontiguousarray(planes[..., index], np.float32)
+    for entry in PASSES.values():
+        header[f"svgf.unit.{entry.name}"] = entry.unit
+        planes = entry.image(frame).reshape(frame.height, frame.width, len(entry.channels))
+        for index, channel in enumerate(entry.channels):
+            channels[f"{layer}.{entry.name}.{channel}"] = np.ascontiguousarray(planes[..., index], np.float32)
     header.update(metadata or {})
 
     encoded = io.BytesIO()

@@ -14,6 +14,13 @@ _MODULES = {"Device": "device", "Mesh": "surface", "Texture": "texture", "Tracer
 __all__ = ["Denoiser", "Device", "Mesh", "Texture", "Tracer"]
 
 
+def kernels() -> list[int]:
+    """Bits of the effects that each kernel simulates: there is one, for all of them."""
+    from ..effects import Effects
+
+    return [int(~Effects.NONE)]
+
+
 def __getattr__(name: str):
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of svgf.albedo: their derivation, and lookups.
 
-``python -m svgf.reference.albedo`` computes all but "sheen" by quadrature over visible normals, in minutes of which most go to the
-glass, and writes ``svgf/albedo_tables.npy``.
+``python -m svgf.reference.albedo`` computes all but "sheen" by quadrature over visible normals, in minutes of which
+most go to the glass, and writes ``svgf/albedo_tables.npy``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ def tables() -> dict[str, np.ndarray]:
     return result
 
 
-def lookup(name: str, roughness: np.ndarray, cosine: np.ndarray | float = 0.0, z: np.ndarray | float = 0.0) -> np.ndarray:
+def lookup(
+    name: str, roughness: np.ndarray, cosine: np.ndarray | float = 0.0, z: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Trilinear, [n]."""
     table = tables()[name]
     result = 0.0
@@ -48,8 +50,9 @@ def ior_coordinate(ior: np.ndarray) -> np.ndarray:
 
 
 def _visible_weights(roughness: float, cosine: float, count: int) -> tuple[np.ndarray, ...]:
-    """Microfacet normals of equal chance as seen from the cosine: view, normals [n, 3], and Smith's Lambda of the view."""
-    from .bsdf import ggx_lambda, sample_visible_normal
+    """Microfacet normals of equal chance as seen from the cosine: view, normals [n, 3], and Smith's Lambda of the
+    view."""
+    from .microfacet import ggx_lambda, sample_visible_normal
 
     alpha = max(roughness, 1e-3) ** 2
     cosine = max(cosine, 1e-4)
@@ -62,7 +65,7 @@ def _visible_weights(roughness: float, cosine: float, count: int) -> tuple[np.nd
 
 def energy_at(roughness: float, cosine: float, count: int = 128) -> float:
     """Mean of G2 / G1 over the visible normals that reflect upwards."""
-    from .bsdf import ggx_lambda, reflect
+    from .microfacet import ggx_lambda, reflect
 
     view, half, lambda_view, alphas = _visible_weights(roughness, cosine, count)
     light = reflect(view, half)
@@ -72,7 +75,7 @@ def energy_at(roughness: float, cosine: float, count: int = 128) -> float:
 
 def mean_at(roughness: float, cosine: float, share, count: int = 96) -> float:
     """Mean over the lobe of a function of the cosine at the microfacet."""
-    from .bsdf import ggx_lambda, reflect
+    from .microfacet import ggx_lambda, reflect
 
     view, half, lambda_view, alphas = _visible_weights(roughness, cosine, count)
     light = reflect(view, half)
@@ -85,7 +88,7 @@ def schlick_at(roughness: float, cosine: float, count: int = 96) -> float:
 
 
 def dielectric_at(roughness: float, cosine: float, ior: float, count: int = 96) -> float:
-    from .bsdf import fresnel_dielectric, normal_reflectance
+    from .microfacet import fresnel_dielectric, normal_reflectance
 
     f0 = normal_reflectance(ior)
     # Seen at an angle, a dense dielectric may reflect less than f0.
@@ -98,7 +101,7 @@ def dielectric_at(roughness: float, cosine: float, ior: float, count: int = 96) 
 
 
 def glass_at(roughness: float, cosine: float, eta: float, count: int = 96) -> float:
-    from .bsdf import fresnel_dielectric, ggx_lambda, reflect, refract
+    from .microfacet import fresnel_dielectric, ggx_lambda, reflect, refract
 
     if eta == 1.0:
         return 1.0  # no interface, which goes straight on

@@ -5,8 +5,8 @@ D, diffuse: Lambert or Oren-Nayar, in reflection, or in transmission for TRANSLU
 cosine. S, specular: GGX reflection, of the interface of plastic and of metal. C, coat: GGX reflection of its own
 roughness. G, glass: GGX reflection and refraction.
 
-Sheen, coat and interface lie on each other in this order; each takes its albedo away from what lies below. Of light that
-GGX loses between microfacets, each lobe is given back what Fresnel's term leaves of it, as a factor [Kulla17].
+Sheen, coat and interface lie on each other in this order; each takes its albedo away from what lies below. Of light
+that GGX loses between microfacets, each lobe is given back what Fresnel's term leaves of it, as a factor [Kulla17].
 
 All arrays have one row per ray. V is the direction to the viewer, L the sampled one; both point away from the surface.
 Local directions are in a frame whose Z is the shading normal N and whose X is the tangent. What lies on the wrong side
@@ -19,38 +19,34 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
 from .albedo import ior_coordinate, lookup
+from .diffuse import oren_nayar, oren_nayar_terms
+from .layers import column, make_layers
+from .microfacet import (
+    dielectric_mean,
+    fresnel_dielectric,
+    fresnel_metal,
+    fresnel_tinted,
+    ggx_density,
+    ggx_lambda,
+    glass_multiscatter_factor,
+    interface,
+    multiscatter_factor,
+    normal_reflectance,
+    reflect,
+    refract,
+    sample_visible_normal,
+)
 from .sampling import cosine_hemisphere, frame
+from .shading_normal import bump_shadowing, raise_viewer, valid_reflection
 from .vec import dot, flip_towards, luminance, normalize
 
 # GGX alpha below which a lobe is a mirror.
 SMOOTH_ALPHA = 1e-3
-# Shading normals are bent so that the viewer stays above the horizon.
-SMALLEST_COSINE = 0.01
-LARGEST_F0 = 0.99
-# Diffuse roughness below which a surface is Lambert's.
-SMALLEST_DIFFUSE_ROUGHNESS = 1e-5
 
 # Events of BsdfSample.
 NONE, DIFFUSE, GLOSSY, TRANSMISSION = range(4)
-
-
-@dataclass
-class Layers:
-    """What lies on the base of a Principled BSDF. below [n, 3]: share of light that reaches the base and comes back,
-    which is also the base's share of what it emits. sheen, coat: [n, 3] and [n], weights of these lobes with all their
-    factors; coat_albedo: [n], of the coat towards V."""
-
-    below: np.ndarray
-    sheen: np.ndarray
-    sheen_a: np.ndarray
-    sheen_b: np.ndarray
-    coat: np.ndarray
-    coat_alpha: np.ndarray
-    coat_eta: np.ndarray
-    coat_albedo: np.ndarray
 
 
 @dataclass
@@ -60,8 +56,8 @@ class Bsdf:
     x, y, z: axes of the local frame; z is N. smooth_normal: N before the normal map.
     diffuse, plastic, metal, glass: weights of the lobes, with all factors but those below. oren_nayar_*: see
     oren_nayar. transmits_diffuse: D is in transmission. plastic_f0, plastic_eta, metal_f0, metal_f90, metal_dip: of
-    Fresnel's terms. glass_eta: IOR beyond the surface over that on the viewer's side. refracts_only: G without Fresnel's
-    term and reflection.
+    Fresnel's terms. glass_eta: IOR beyond the surface over that on the viewer's side. refracts_only: G without
+    Fresnel's term and reflection.
     *_albedo: of the lobes towards V, D and H, and the others. probability: [n, 5], of choosing D, H, S, C, G.
     """
 
@@ -130,39 +126,6 @@ class Bsdf:
         return Bsdf(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 
-def column(rows: np.ndarray, name: str) -> np.ndarray:
-    """[n], or [n, 3] of a colour."""
-    start = MATERIAL_COLUMNS[name]
-    colors = ("base_color", "specular_tint", "coat_tint", "sheen_tint", "emission", "light_emission", "normal")
-    return rows[:, start : start + 3] if name in colors else rows[:, start]
-
-
-def make_layers(rows: np.ndarray, cos_view: np.ndarray) -> Layers:
-    """rows: [n, 48] of materials, maps applied. cos_view: [n], N.V."""
-    principled = column(rows, "kind") == MaterialKind.PRINCIPLED
-    below = np.ones((len(rows), 3))
-
-    weight = np.where(principled, column(rows, "sheen_weight"), 0.0)[:, None] * column(rows, "sheen_tint")
-    sheen_a, sheen_b, sheen_albedo = sheen_lobe(np.clip(cos_view, 0.0, 1.0), column(rows, "sheen_roughness"))
-    sheen = weight * sheen_albedo[:, None]
-    below = below * np.clip(1.0 - sheen.max(axis=1), 0.0, 1.0)[:, None]
-
-    coat_weight = np.where(principled, column(rows, "coat_weight"), 0.0)
-    coat_eta = np.maximum(column(rows, "coat_ior"), 1.0)
-    roughness = column(rows, "coat_roughness")
-    f0 = normal_reflectance(coat_eta)
-    energy, factor = multiscatter_factor(roughness, cos_view, dielectric_mean(coat_eta))
-    single = f0 + (1.0 - f0) * lookup("dielectric", roughness, cos_view, ior_coordinate(coat_eta))
-    coat = coat_weight * below[:, 0] * factor
-    coat_albedo = coat * energy * single
-    below = below * np.clip(1.0 - coat_weight * factor * energy * single, 0.0, 1.0)[:, None]
-    # Beer's law along the refracted ray; the tint is that of a ray along the normal.
-    inside = np.sqrt(1.0 - (1.0 - np.clip(cos_view, 0.0, 1.0) ** 2) / coat_eta**2)
-    absorbed = column(rows, "coat_tint") ** (1.0 / np.maximum(inside, 1e-6))[:, None]
-    below = below * (1.0 + coat_weight[:, None] * (absorbed - 1.0))
-    return Layers(below, sheen, sheen_a, sheen_b, coat, roughness**2, coat_eta, coat_albedo)
-
-
 def make_bsdf(
     view: np.ndarray,
     normal: np.ndarray,
@@ -213,7 +176,6 @@ def make_bsdf(
     dip = (base + (1.0 - base) * schlick) * (7.0 / (schlick * 6.0 / 7.0)) * (1.0 - tint)
     metal_dip = np.where(is_glossy[:, None], 0.0, dip)
     mean = metal_f0 + (metal_f90 - metal_f0) / 21.0 - metal_dip / 126.0
-    energy, factor = multiscatter_factor(roughness, cos_view, mean, multiscatter)
     # Of an anisotropic lobe Cycles' roughness is the fourth root of both alphas' product, clamped as they are.
     alpha = _alphas(roughness, anisotropic, is_glossy)
     mean_roughness = alpha.prod(axis=1) ** 0.25
@@ -258,7 +220,7 @@ def make_bsdf(
     has_diffuse = is_principled | is_translucent | (kind == MaterialKind.DIFFUSE)
     diffuse_share = np.where(has_diffuse, (1.0 - metallic) * (1.0 - transmission) * (1.0 - taken), 0.0)
     diffuse = below * diffuse_share[:, None] * base
-    a, b, multiple, diffuse_scale = _oren_nayar_terms(np.where(is_translucent, 0.0, column(rows, "diffuse_roughness")),
+    a, b, multiple, diffuse_scale = oren_nayar_terms(np.where(is_translucent, 0.0, column(rows, "diffuse_roughness")),
                                                       cos_view, base)  # fmt: skip
     diffuse_albedo = diffuse * diffuse_scale
     sheen = layers.sheen * np.broadcast_to(weight, kind.shape)[:, None]
@@ -346,201 +308,13 @@ def _tangent_frame(
     return x, np.where(there[:, None], np.cross(normal, x), y)
 
 
-def valid_reflection(normal: np.ndarray, geometric_normal: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """The normal, turned towards the geometric one just as far as the mirror image of the view needs to be above the
-    surface.
-
-    With Ng as Z and N in the XZ plane, V = (Vx, ., Vz): 2 (N.V) Nz - Vz = t is quadratic in Nz^2.
-    """
-    height = dot(view, geometric_normal)
-    threshold = np.minimum(0.9 * height, 0.01)
-    mirrored = 2.0 * dot(normal, view)[:, None] * normal - view
-    x = normal - dot(normal, geometric_normal)[:, None] * geometric_normal
-    length = np.linalg.norm(x, axis=1)
-    x = normalize(x)
-    vx = dot(view, x)
-    a = vx**2 + height**2
-    b = 2.0 * (a + height * threshold)
-    c = (threshold + height) ** 2
-    root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
-    z2 = np.clip(0.25 * (b + np.where(vx < 0.0, root, -root)) / np.maximum(a, 1e-30), 0.0, 1.0)
-    bent = np.sqrt(1.0 - z2)[:, None] * x + np.sqrt(z2)[:, None] * geometric_normal
-    invalid = (dot(geometric_normal, mirrored) < threshold) & (length > 1e-6)
-    return np.where(invalid[:, None], bent, normal)
-
-
-def raise_viewer(normal: np.ndarray, view: np.ndarray) -> np.ndarray:
-    cosine = dot(normal, view)
-    bent = normalize(normal + view * (SMALLEST_COSINE - cosine)[:, None])
-    return np.where((cosine < SMALLEST_COSINE)[:, None], bent, normal)
-
-
-def normal_reflectance(ior: np.ndarray) -> np.ndarray:
-    return ((ior - 1.0) / (ior + 1.0)) ** 2
-
-
-def interface(ior: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reflectance at normal incidence and IOR of plastic's interface: the level scales the former."""
-    f0 = normal_reflectance(ior) * 2.0 * level
-    root = np.sqrt(np.minimum(f0, LARGEST_F0))
-    eta = (1.0 + root) / (1.0 - root)
-    return f0, np.where(level == 0.5, ior, np.where(ior < 1.0, 1.0 / eta, eta))
-
-
-def dielectric_mean(eta: np.ndarray) -> np.ndarray:
-    """Mean Fresnel reflectance over the hemisphere, 2 int c F(c) dc: the fit of [Kulla17]."""
-    inner = 0.997118 + eta * (0.1014 - eta * (0.965241 + eta * 0.130607))
-    return np.where(eta < 1.0, inner, (eta - 1.0) / (4.08567 + 1.00071 * eta))
-
-
-def multiscatter_factor(
-    roughness: np.ndarray, cosine: np.ndarray, mean: np.ndarray, wanted: np.ndarray | float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Energy [n] of a reflecting lobe, and the factor on it for light that comes out after several reflections. mean:
-    [n] or [n, 3], mean Fresnel reflectance of each [Kulla17]."""
-    energy = lookup("energy", roughness, cosine)
-    factor = _given_back(energy, lookup("mean_energy", roughness), mean)
-    return energy, np.where(_like(wanted, factor) > 0.0, factor, 1.0)
-
-
-def _like(values: np.ndarray | float, array: np.ndarray) -> np.ndarray:
-    return np.reshape(values, np.shape(values) + (1,) * (array.ndim - 1)) if np.ndim(values) else np.asarray(values)
-
-
-def _given_back(energy: np.ndarray, mean_energy: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    energy, mean_energy = _like(energy, mean), _like(mean_energy, mean)
-    multiple = mean * mean_energy / (1.0 - mean * (1.0 - mean_energy))
-    return 1.0 + multiple * (1.0 - energy) / energy
-
-
-def glass_multiscatter_factor(
-    roughness: np.ndarray, cosine: np.ndarray, eta: np.ndarray, tint: np.ndarray, wanted: np.ndarray
-) -> np.ndarray:
-    """As multiscatter_factor, [n, 3], of reflection and refraction together; tint: of what is refracted."""
-    entering = eta >= 1.0
-    z = ior_coordinate(eta)
-    energy, mean_energy = (
-        np.where(entering, lookup(f"{name}_entering", roughness, cosine, z), lookup(f"{name}_leaving", roughness, cosine, z))
-        for name in ("glass", "mean_glass")
-    )  # fmt: skip
-    factor = _given_back(energy, mean_energy, tint)
-    return np.where(((wanted > 0.0) & (eta != 1.0))[:, None], factor, 1.0)
-
-
-def sheen_lobe(cosine: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inverse linear transform (x, y, z) -> (a x + b z, a y, z) that makes the lobe a cosine [Zeltner22], by the fits of
-    [MaterialX], and its albedo, by a table: the fit of that is off by up to 10 %."""
-    x, y = cosine, np.clip(roughness, SMALLEST_SHEEN_ROUGHNESS, 1.0)
-    a = (2.58126 * x + 0.813703 * y) * y / (1.0 + 0.310327 * x * x + 2.60994 * x * y)
-    b = np.sqrt(1.0 - x) * (y - 1.0) * y**3 / (0.0000254053 + 1.71228 * x - 1.71506 * x * y + 1.34174 * y * y)
-    return a, b, lookup("sheen", roughness, cosine)
-
-
 # Below it the fits divide by almost 0.
 SMALLEST_SHEEN_ROUGHNESS = 0.01
 
 
-def oren_nayar_loss(cosine: np.ndarray) -> np.ndarray:
-    """G of the improved Oren-Nayar model [Fujii12], with which the directional albedo is a pi + b G."""
-    c = np.clip(cosine, 0.0, 1.0)
-    s = np.sqrt(1.0 - c * c)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        full = s * (np.arccos(c) - 2.0 / 3.0 - s * c) + 2.0 / 3.0 * (s / c) * (1.0 - s**3)
-    return np.where(c < 1e-6, np.pi / 2.0 - 2.0 / 3.0 - c, full)
-
-
-def _oren_nayar_terms(roughness: np.ndarray, cos_view: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
-    """a, b, the factor of multiple scattering without the term of L, and the lobe's albedo towards V over its weight.
-
-    [Fujii12] with an energy-preserving term; its strength is that of Cycles, which holds one factor of the colour more
-    than [Portsmouth25, Eq. 20]."""
-    a = 1.0 / (np.pi + roughness * (np.pi / 2.0 - 2.0 / 3.0))
-    b = roughness * a
-    mean = a * np.pi + (2.0 * np.pi - 5.6) / 3.0 * b
-    strength = color**2 * (mean / np.maximum(1.0 - mean, 1e-9))[:, None] / (1.0 - color * (1.0 - mean)[:, None]) / np.pi
-    view = a * np.pi + b * oren_nayar_loss(cos_view)
-    multiple = strength * (1.0 - view)[:, None]
-    is_lambert = roughness < SMALLEST_DIFFUSE_ROUGHNESS
-    b = np.where(is_lambert, 0.0, b)
-    multiple = np.where(is_lambert[:, None], 0.0, multiple)
-    albedo = np.where(is_lambert[:, None], 1.0, view[:, None] + np.pi * multiple * (1.0 - mean)[:, None])
-    return np.where(is_lambert, 1.0 / np.pi, a), b, multiple, albedo
-
-
-def oren_nayar(bsdf: Bsdf, cos_view: np.ndarray, light: np.ndarray, local_view: np.ndarray) -> np.ndarray:
-    """Value of D over its weight, without the cosine, [n, 3]."""
-    cos_light = np.abs(light[:, 2])
-    t = dot(light, local_view) - cos_light * np.maximum(cos_view, 0.0)
-    t = np.where(t > 0.0, t / np.maximum(np.maximum(cos_light, cos_view), 1e-30), t)
-    single = bsdf.oren_nayar_a + bsdf.oren_nayar_b * np.where(bsdf.oren_nayar_b > 0.0, t, 0.0)
-    loss = 1.0 - (bsdf.oren_nayar_a * np.pi + bsdf.oren_nayar_b * oren_nayar_loss(cos_light))
-    return single[:, None] + bsdf.oren_nayar_multiple * loss[:, None]
-
-
-def fresnel_dielectric(cos_incident: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Unpolarized reflectance [Walter07, Eq. 22]; 1 at total internal reflection. eta: IOR beyond over IOR before the
-    surface."""
-    c = np.abs(cos_incident)
-    g_squared = eta * eta - 1.0 + c * c
-    g = np.sqrt(np.maximum(g_squared, 0.0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (c * (g + c) - 1.0) / (c * (g - c) + 1.0)
-        reflectance = 0.5 * ((g - c) / (g + c)) ** 2 * (1.0 + ratio * ratio)
-    reflectance = np.where(eta == 1.0, 0.0, reflectance)
-    return np.where(g_squared > 0.0, np.clip(reflectance, 0.0, 1.0), np.where(eta == 1.0, 0.0, 1.0))
-
-
-def fresnel_tinted(cos_incident: np.ndarray, eta: np.ndarray, f0: np.ndarray) -> np.ndarray:
-    """A dielectric's reflectance with its range [F(1), 1] mapped to [f0, 1], [n, 3]."""
-    real_f0 = normal_reflectance(eta)
-    share = np.clip((fresnel_dielectric(cos_incident, eta) - real_f0) / (1.0 - real_f0), 0.0, 1.0)
-    return f0 + (1.0 - f0) * share[:, None]
-
-
-def fresnel_metal(f0: np.ndarray, f90: np.ndarray, dip: np.ndarray, cos_incident: np.ndarray) -> np.ndarray:
-    """Schlick's approximation with the dip around 82 degrees of [Kutz21], [n, 3]."""
-    c = np.clip(cos_incident, 0.0, 1.0)[:, None]
-    return np.clip(f0 + (f90 - f0) * (1.0 - c) ** 5 - dip * c * (1.0 - c) ** 6, 0.0, 1.0)
-
-
-def ggx_density(half: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Distribution of microfacet normals D(H), local [n, 3]; alpha [n, 2] [Heitz14, Eq. 85]."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stretched = (half[:, 0] / alpha[:, 0]) ** 2 + (half[:, 1] / alpha[:, 1]) ** 2 + half[:, 2] ** 2
-        return np.where(half[:, 2] > 0.0, 1.0 / (np.pi * alpha.prod(axis=1) * stretched**2), 0.0)
-
-
-def ggx_lambda(direction: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Smith's Lambda of GGX for local directions [Heitz14, Eq. 72]."""
-    slope = (alpha[:, 0] * direction[:, 0]) ** 2 + (alpha[:, 1] * direction[:, 1]) ** 2
-    return (np.sqrt(1.0 + slope / np.maximum(direction[:, 2] ** 2, 1e-30)) - 1.0) / 2.0
-
-
-def sample_visible_normal(view: np.ndarray, alpha: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Microfacet normal in the local frame, of density D_V: a point on a spherical cap [Dupuy23, Listing 1]."""
-    stretch = np.concatenate([alpha, np.ones((len(alpha), 1))], axis=1)
-    standard = normalize(view * stretch)
-    phi = 2.0 * np.pi * uv[:, 0]
-    z = (1.0 - uv[:, 1]) * (1.0 + standard[:, 2]) - standard[:, 2]
-    sine = np.sqrt(np.clip(1.0 - z * z, 0.0, 1.0))
-    cap = np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)
-    return normalize((cap + standard) * stretch)
-
-
-def reflect(view: np.ndarray, half: np.ndarray) -> np.ndarray:
-    return 2.0 * dot(view, half)[:, None] * half - view
-
-
-def refract(view: np.ndarray, half: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Transmitted direction [Walter07, Eq. 40] for half on the viewer's side. Where all is reflected: in the surface,
-    unused."""
-    cosine = dot(view, half)
-    inside = np.sqrt(np.maximum(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
-    return (cosine / eta - inside)[:, None] * half - view / eta[:, None]
-
-
 def glass_events(bsdf: Bsdf, cos_half_view: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of lobe G at a microfacet: tinted reflectance and transmittance, [n, 3], and the chance of choosing reflection."""
+    """Of lobe G at a microfacet: tinted reflectance and transmittance, [n, 3], and the chance of choosing
+    reflection."""
     reflectance = fresnel_tinted(cos_half_view, bsdf.glass_eta, bsdf.glass_f0)
     reflectance = np.where((bsdf.glass_eta == 1.0)[:, None], 0.0, reflectance)
     blocked = (fresnel_dielectric(cos_half_view, bsdf.glass_eta) == 1.0) & (bsdf.glass_eta != 1.0)
@@ -562,21 +336,6 @@ def coat_at(bsdf: Bsdf, cos_half_view: np.ndarray) -> np.ndarray:
     return bsdf.coat * fresnel_dielectric(cos_half_view, bsdf.coat_eta)
 
 
-def bump_shadowing(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a normal map hides: bool [n], directions on the wrong side of the unperturbed surface, and the factor [n]
-    that darkens diffuse reflection towards its horizon [Chiang19]."""
-    smooth, normal = bsdf.smooth_normal, bsdf.normal
-    mapped = (np.abs(smooth - normal) > 1e-6).any(axis=1)
-    cos_light, cos_normal = dot(smooth, light), dot(smooth, normal)
-    hidden = mapped & (cos_light * cos_normal * dot(normal, light) < 0.0)
-    c, d = np.abs(cos_light), np.maximum(np.abs(cos_normal), 1e-6)
-    tangent2 = np.maximum(1.0 / (d * d) - 1.0, 0.0)
-    alpha2 = np.clip(0.125 * tangent2, 0.0, 1.0)
-    slope2 = np.maximum(1.0 / np.maximum(c * c, 1e-12) - 1.0, 0.0)
-    factor = 2.0 / (1.0 + np.sqrt(1.0 + alpha2 * slope2))
-    return hidden, np.where(mapped, factor, 1.0)
-
-
 def _uniform(alpha: np.ndarray) -> np.ndarray:
     return np.repeat(alpha[:, None], 2, axis=1)
 
@@ -589,7 +348,7 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     local, view = bsdf.to_local(light), bsdf.to_local(bsdf.view)
     cos_light = local[:, 2]
     side = dot(bsdf.geometric_normal, light)
-    hidden, darkening = bump_shadowing(bsdf, light)
+    hidden, darkening = bump_shadowing(bsdf.smooth_normal, bsdf.normal, light)
     above = (cos_light > 0.0) & (side > 0.0) & ~hidden
     below = (cos_light < 0.0) & (side < 0.0) & ~hidden
     of_diffuse, of_sheen, of_specular, of_coat, of_glass = bsdf.probability.T
@@ -597,7 +356,8 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     lit = np.where(bsdf.transmits_diffuse, below, above)
     cosine = np.where(lit, np.abs(cos_light), 0.0)
     darkening = np.where(bsdf.transmits_diffuse, 1.0, darkening)
-    diffuse = bsdf.diffuse * oren_nayar(bsdf, view[:, 2], local, view) * (cosine * darkening)[:, None]
+    reflected = oren_nayar(bsdf.oren_nayar_a, bsdf.oren_nayar_b, bsdf.oren_nayar_multiple, view, local)
+    diffuse = bsdf.diffuse * reflected * (cosine * darkening)[:, None]
     pdf = of_diffuse * cosine / np.pi
 
     density = np.where(above, sheen_density(bsdf, local, view), 0.0)

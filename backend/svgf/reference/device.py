@@ -32,6 +32,9 @@ class Device:
         timings, self._timings = self._timings, {}
         return timings
 
+    def synchronize(self) -> None:
+        """Nothing is ever under way."""
+
     def interrupt(self) -> None:
         self._interrupted = True
 

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
 import numpy as np
 
+from ..scene import RayVisibility
 from .camera import Camera
 from .intersect import Hits
 from .surface import SceneView, surface_at
-from .vec import dot, normalize
 
 BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
@@ -16,17 +19,29 @@ LARGEST_GRADIENT = 1e10
 NO_MOTION = 1e6
 
 
+@dataclass
+class PrimaryRays:
+    """point: [n, 2] image points. origin, direction: [n, 3] unit. far: [n], where they end. choice: of a vertex, random
+    numbers [n, 2] of which the first is that of surface_at."""
+
+    point: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    far: np.ndarray
+    choice: Callable[[int], np.ndarray]
+
+
 def trace_gbuffer(
     scene: SceneView,
     camera: Camera,
     previous_camera: Camera,
-    point: np.ndarray,
-    direction: np.ndarray,
+    rays: PrimaryRays,
     hits: Hits,
-    choice: np.ndarray,
+    transparent_bounces: int,
 ) -> dict[str, np.ndarray]:
-    """point: [n, 2] image points, direction: [n, 3] of planar depth 1, hits: of these rays, choice: [n], see surface_at.
-    Returns images as rows of pixels."""
+    """hits: of the rays. Returns images as rows of pixels."""
+    point, direction = rays.point, rays.direction
+    hits, choice, tint = _see_through(scene, rays, hits, transparent_bounces)
     count = len(point)
     images = {
         "normal": np.zeros((count, 3)),
@@ -40,23 +55,31 @@ def trace_gbuffer(
         "motion": np.zeros((count, 3)),
     }
     found = np.flatnonzero(hits.found)
-    view = -normalize(direction[found])
+    view = -direction[found]
     surface = surface_at(scene, hits, found, view, choice[found])
     bsdf = surface.bsdf(view)
     depth = camera.depth(surface.position)
     images["normal"][found] = bsdf.normal
     images["depth"][found] = depth
-    images["depth_gradient"][found] = depth_gradient(camera, direction[found], depth, bsdf.geometric_normal)
+    gradient = camera.depth_gradient(point[found], depth, bsdf.geometric_normal)
+    images["depth_gradient"][found] = np.clip(np.nan_to_num(gradient, nan=0.0), -LARGEST_GRADIENT, LARGEST_GRADIENT)
     images["object_id"][found] = surface.object_id
     images["material_id"][found] = surface.material + 1
     images["roughness"][found] = bsdf.roughness
-    images["diffuse_albedo"][found] = bsdf.diffuse_albedo
-    images["specular_albedo"][found] = bsdf.specular_albedo
+    images["diffuse_albedo"][found] = bsdf.diffuse_albedo * tint[found]
+    images["specular_albedo"][found] = bsdf.specular_albedo * tint[found]
 
-    # The background is infinitely far: only the camera's rotation moves it.
-    seen_before = direction.copy()
+    # The background is infinitely far: only the camera's rotation moves it, and parallel rays all see the same of it.
+    seen_before, now = direction.copy(), point.copy()
     seen_before[found] = surface.previous_position - previous_camera.to_world[:, 3]
-    images["motion"] = motion(previous_camera, point, seen_before)
+    if camera.has_aperture:
+        # A point out of focus is seen from elsewhere than where it is.
+        now[found] = camera.project(surface.position - camera.to_world[:, 3])[0]
+        missed = ~hits.found
+        now[missed] = camera.project(direction[missed])[0]
+    images["motion"] = motion(previous_camera, now, seen_before)
+    if previous_camera.is_orthographic:
+        images["motion"][~hits.found, :2] = 0.0
     visible = images["motion"][:, 0] != NO_MOTION
     images["motion"][:, 2] -= images["depth"]
     images["motion"][~visible, 2] = 0.0
@@ -69,18 +92,29 @@ def trace_gbuffer(
     return images
 
 
-def depth_gradient(
-    camera: Camera, direction: np.ndarray, depth: np.ndarray, geometric_normal: np.ndarray
-) -> np.ndarray:
-    """Derivatives [n, 2] of the depth of the hit's plane by the image point.
-
-    The ray s d meets the plane n (x - p) = 0 at depth s = n p / n d, so ds = -s (n dd) / (n d).
-    """
-    normal = camera.to_camera(geometric_normal)
-    across = dot(normal, camera.to_camera(direction))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gradient = np.stack([-depth * (normal @ step) / across for step in camera.pixel_steps()], axis=1)
-    return np.clip(np.nan_to_num(gradient, nan=0.0), -LARGEST_GRADIENT, LARGEST_GRADIENT)
+def _see_through(
+    scene: SceneView, rays: PrimaryRays, hits: Hits, transparent_bounces: int
+) -> tuple[Hits, np.ndarray, np.ndarray]:
+    """The hits that rays see, past those that let them go straight on; their choice [n], and what the ones before
+    multiply light by, [n, 3]."""
+    hits = replace(hits, **{field.name: getattr(hits, field.name).copy() for field in fields(hits)})
+    choice, tint = rays.choice(0)[:, 0], np.ones((len(hits.t), 3))
+    rows = np.flatnonzero(hits.found)
+    for vertex in range(1, max(transparent_bounces, 1) + 1):
+        view = -rays.direction[rows]
+        straight = surface_at(scene, hits, rows, view, choice[rows]).straight if len(rows) else np.zeros((0, 3))
+        passes = straight.max(axis=1, initial=0.0) > 0.0
+        rows, straight = rows[passes], straight[passes]
+        if not len(rows):
+            break
+        tint[rows] *= straight
+        kind = np.full(len(rows), int(RayVisibility.CAMERA))
+        behind = scene.shapes.closest(rays.origin[rows], rays.direction[rows], hits.t[rows], rays.far[rows], kind)
+        for field in fields(hits):
+            getattr(hits, field.name)[rows] = getattr(behind, field.name)
+        choice[rows] = rays.choice(vertex)[rows, 0]
+        rows = rows[behind.found]
+    return hits, choice, tint
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

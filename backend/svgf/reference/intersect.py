@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene import RayVisibility
 from .vec import dot, normalize, transform_point, transform_vector
 
 # (ray, node) pairs in flight, which bounds the memory.
@@ -112,9 +113,15 @@ class Geometry:
     """Meshes in a row, and their instances."""
 
     def __init__(
-        self, meshes: list, instance_mesh: np.ndarray, object_to_world: np.ndarray, world_to_object: np.ndarray
+        self,
+        meshes: list,
+        instance_mesh: np.ndarray,
+        object_to_world: np.ndarray,
+        world_to_object: np.ndarray,
+        visibility: np.ndarray,
     ) -> None:
         self.meshes = meshes
+        self.visibility = visibility
         self.instance_mesh = instance_mesh
         self.object_to_world = object_to_world
         self.world_to_object = world_to_object
@@ -141,18 +148,29 @@ class Geometry:
             lower[members], upper[members], filled[members] = centre - half, centre + half, True
         return lower, upper, filled
 
-    def closest(self, origin: np.ndarray, direction: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> Hits:
-        """The nearest triangle with t_min < t < t_max. Arrays [n, 3] and [n]; t counts in lengths of direction."""
+    def start_of(self, instance: np.ndarray) -> np.ndarray:
+        """Where the triangles of the meshes of instances [n] start in the row of all meshes."""
+        if not len(self.instance_mesh):
+            return np.zeros(len(instance), dtype=np.int64)
+        return self.first_triangle[self.instance_mesh[instance]]
+
+    def closest(
+        self, origin: np.ndarray, direction: np.ndarray, t_min: np.ndarray, t_max: np.ndarray, kind: np.ndarray
+    ) -> Hits:
+        """The nearest triangle with t_min < t < t_max of the instances that rays of this kind [n] (bits of
+        RayVisibility) see. Arrays [n, 3] and [n]; t counts in lengths of direction."""
         count = len(origin)
         hits = Hits(np.full(count, np.inf), np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros((count, 3)))
         for start in range(0, count, RAYS_AT_ONCE):
             rows = slice(start, start + RAYS_AT_ONCE)
-            self._closest(hits, start, origin[rows], direction[rows], t_min[rows], t_max[rows])
+            self._closest(hits, start, origin[rows], direction[rows], t_min[rows], t_max[rows], kind[rows])
         return hits
 
-    def _closest(self, hits: Hits, start: int, origin, direction, t_min, t_max) -> None:
+    def _closest(self, hits: Hits, start: int, origin, direction, t_min, t_max, kind) -> None:
         ray, placed = self.top.candidates(origin, direction, t_max)
         instance = self.placed[placed]
+        sees = (self.visibility[instance] & kind[ray]) != 0
+        ray, instance = ray[sees], instance[sees]
         mesh_of_pair = self.instance_mesh[instance]
         for index in np.unique(mesh_of_pair):
             mesh, chosen = self.meshes[index], mesh_of_pair == index
@@ -180,7 +198,8 @@ class Geometry:
                 hits.triangle[row] = triangle[winner] + self.first_triangle[index]
 
     def occluded(self, origin: np.ndarray, direction: np.ndarray, t_max: np.ndarray) -> np.ndarray:
-        return self.closest(origin, direction, np.zeros(len(origin)), t_max).found
+        kind = np.full(len(origin), int(RayVisibility.SHADOW))
+        return self.closest(origin, direction, np.zeros(len(origin)), t_max, kind).found
 
 
 def solid_triangles(corners: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lamps and emissive triangles: choosing one, sampling a point on it, and the same densities for rays that run into
-one.
+"""Lamps, emissive triangles and the environment: choosing one, sampling a point on it, and the same densities for rays
+that run into one.
 
 Densities are per solid angle and hold the probability of choosing the light. A lamp without size (delta) has density 1
 for its only direction, and its radiance is then what arrives: intensity over squared distance, or a sun's irradiance.
@@ -13,12 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..flatten import TRIANGLE
-from ..scene import LightKind
+from ..flat_lights import ENVIRONMENT, TRIANGLE
+from ..scene import LightKind, RayVisibility
+from .environment import World, choose_interval
+from .light_tree import walk_light_tree
 from .sampling import concentric_disk, cone, to_world, triangle_barycentrics
 from .vec import dot, normalize
 
 _SPHERES = (LightKind.POINT, LightKind.SPOT)
+_AREAS = (LightKind.RECTANGLE, LightKind.ELLIPSE)
 
 
 @dataclass
@@ -34,32 +37,85 @@ class LightSample:
 
 
 class Lights:
-    """The lights of a FlatScene, see there for the columns. world_radiance: [3]."""
+    """The lights of a FlatScene, see there for the columns. textures, world: of the scene."""
 
-    def __init__(self, kind, data, probability, cdf, triangle_light_scale: float, world_radiance) -> None:
-        self.kind = np.asarray(kind, dtype=np.int64)
-        data = np.asarray(data, dtype=np.float64).reshape(-1, 24)
+    def __init__(
+        self,
+        light_kind=(),
+        light_data=(),
+        light_visibility=None,
+        light_probability=(),
+        light_cdf=(0.0,),
+        light_tree=np.zeros((0, 12)),
+        light_of_leaf=(),
+        emitters=np.zeros((0, 2)),
+        light_of_triangle=(),
+        emission_map=None,
+        emission_maps=np.zeros((0, 8)),
+    ) -> None:
+        self.kind = np.asarray(light_kind, dtype=np.int64)
+        data = np.asarray(light_data, dtype=np.float64).reshape(-1, 24)
         self.position, self.axis_x, self.axis_y, self.axis_z, self.radiance = (
             data[:, i : i + 3] for i in range(0, 15, 3)
         )
         self.size, self.area = data[:, 15:17], data[:, 17]
         self.cos_half_spot, self.spot_smooth, self.delta = data[:, 18], data[:, 19], data[:, 20] != 0.0
         self.soft_falloff = data[:, 23] != 0.0
-        self.probability = np.asarray(probability, dtype=np.float64)
+        every_ray = np.full(len(data), int(RayVisibility.ALL))
+        self.visibility = every_ray if light_visibility is None else np.asarray(light_visibility, dtype=np.int64)
+        self.probability = np.asarray(light_probability, dtype=np.float64)
         # Native devices hold float32; the same numbers here choose the same lights.
-        self.cdf = np.asarray(cdf, dtype=np.float32).astype(np.float64)
-        self.triangle_light_scale = float(triangle_light_scale)
-        self.world_radiance = np.asarray(world_radiance, dtype=np.float64)
+        self.cdf = np.asarray(light_cdf, dtype=np.float32).astype(np.float64)
+        self.tree = np.asarray(light_tree, dtype=np.float64).reshape(-1, 12)
+        self.light_of_leaf = np.asarray(light_of_leaf, dtype=np.int64)
+        self.leaf = np.full(len(data), -1, dtype=np.int64)
+        leaves = np.flatnonzero(self.light_of_leaf >= 0)
+        self.leaf[self.light_of_leaf[leaves]] = leaves
+        self.emitters = np.asarray(emitters, dtype=np.int64).reshape(-1, 2)
+        self.light_of_triangle = np.asarray(light_of_triangle, dtype=np.int64)
+        self.emission_map = np.full(len(data), -1) if emission_map is None else np.asarray(emission_map)
+        self.emission_maps = np.asarray(emission_maps, dtype=np.float64).reshape(-1, 8)
+        self.textures: list = []
+        self.world = World()
 
     def __len__(self) -> int:
         return len(self.kind)
 
-    def choose(self, u: np.ndarray) -> np.ndarray:
-        """Index i with cdf[i] <= u < cdf[i + 1]."""
-        return np.clip(np.searchsorted(self.cdf, u, side="right") - 1, 0, len(self) - 1)
+    @property
+    def intervals(self) -> int:
+        """Of the cdf; 0: there is no light to choose."""
+        return len(self.cdf) - 1
 
-    def sample(self, light: np.ndarray, point: np.ndarray, uv: np.ndarray) -> LightSample:
-        """A point on light [n] (indices) as seen from point [n, 3]."""
+    def choose(self, u: np.ndarray, point: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A light for each point [n, 3] with the receiver's normal [n, 3], and the probability of choosing it, 0 for no
+        light. u: [n, 2]."""
+        light, place = choose_interval(self.cdf, u[:, 0])
+        probability = self.probability[np.minimum(light, len(self) - 1)]
+        rows = np.flatnonzero(light == self.intervals - 1) if len(self.tree) else np.zeros(0, dtype=np.int64)
+        if len(rows):
+            numbers = np.stack([place, u[:, 1]], axis=1)[rows]
+            leaf, chance = walk_light_tree(
+                self.tree, point[rows], normal[rows], numbers, np.full(len(rows), -1, dtype=np.int64)
+            )
+            found = self.light_of_leaf[leaf]
+            light[rows] = np.maximum(found, 0)
+            probability = probability.copy()
+            probability[rows] = np.where(found >= 0, chance * self.probability[light[rows]], 0.0)
+        return light, probability
+
+    def choice_probability(self, light: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """[n]: with which ``choose`` would have chosen lights [n]."""
+        probability = self.probability[light].copy()
+        rows = np.flatnonzero(self.leaf[light] >= 0)
+        if len(rows):
+            _, chance = walk_light_tree(
+                self.tree, point[rows], normal[rows], np.zeros((len(rows), 2)), self.leaf[light[rows]]
+            )
+            probability[rows] *= chance
+        return probability
+
+    def sample(self, light: np.ndarray, probability: np.ndarray, point: np.ndarray, uv: np.ndarray) -> LightSample:
+        """A point on light [n] (indices), chosen with a probability [n], as seen from point [n, 3]."""
         count = len(light)
         result = LightSample(
             np.zeros((count, 3)), np.full(count, np.inf), self.radiance[light], np.zeros(count), self.delta[light]
@@ -79,13 +135,22 @@ class Lights:
                     chosen = light[rows]
                     direction, distance, pdf = sampler(chosen, point[rows], uv[rows])
                     result.direction[rows], result.distance[rows], result.pdf[rows] = direction, distance, pdf
-                    if kind in _SPHERES:
+                    if kind == TRIANGLE:
+                        result.radiance[rows] *= self._emission_texel(chosen, uv[rows])
+                    elif kind in _AREAS:
+                        cosine = dot(direction, self.axis_z[chosen])
+                        result.radiance[rows] *= self.spread_attenuation(chosen, cosine)[:, None]
+                    elif kind in _SPHERES:
                         falloff = np.where(self.delta[chosen], 1.0 / distance**2, 1.0)
                         result.radiance[rows] *= (falloff * self.spot_attenuation(chosen, direction))[:, None]
+            rows = np.flatnonzero(self.kind[light] == ENVIRONMENT)
+            if len(rows):
+                result.direction[rows], result.pdf[rows] = self.world.sample(uv[rows])
+                result.radiance[rows] = self.world.radiance(result.direction[rows])
         # A point at the very light, or a density without bound, has no part.
         bad = ~(np.isfinite(result.pdf) & np.isfinite(result.radiance).all(axis=1) & (result.distance > 0.0))
         result.pdf[bad], result.radiance[bad] = 0.0, 0.0
-        result.pdf *= self.probability[light]
+        result.pdf *= probability
         return result
 
     def _sample_sphere(self, light, point, uv):
@@ -139,12 +204,31 @@ class Lights:
         t = np.clip((cosine - self.cos_half_spot[light]) * self.spot_smooth[light], 0.0, 1.0)
         return np.where(self.kind[light] == LightKind.SPOT, t * t * (3.0 - 2.0 * t), 1.0)
 
+    def spread_attenuation(self, light, cosine: np.ndarray) -> np.ndarray:
+        """[n]: of area lamps behind a grid of slats, seen at angles of these cosines."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tangent = np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine)) / cosine
+        faded = np.maximum(0.0, self.cos_half_spot[light] - tangent) * self.spot_smooth[light]
+        return np.where(self.spot_smooth[light] > 0.0, faded, 1.0)
+
+    def _emission_texel(self, light: np.ndarray, uv: np.ndarray) -> np.ndarray:
+        """[n, 3]: what the emission of triangles is multiplied by at sampled points."""
+        color = np.ones((len(light), 3))
+        share = triangle_barycentrics(uv)
+        rows = self.emission_map[light]
+        for row in np.unique(rows[rows >= 0]):
+            chosen = rows == row
+            corners = self.emission_maps[row, :6].reshape(3, 2)
+            at = corners[0] + share[chosen] @ (corners[1:] - corners[0])
+            color[chosen] = self.textures[int(self.emission_maps[row, 6])].lookup(at)[:, :3]
+        return color
+
     def crossed_lamps(
-        self, origin: np.ndarray, direction: np.ndarray, t_hit: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """For every lamp with size: rows that see it before t_hit (inf on a miss), their radiance [m, 3] and density
-        [m]."""
-        for light in np.flatnonzero((self.kind != TRIANGLE) & ~self.delta):
+        self, origin: np.ndarray, direction: np.ndarray, t_hit: np.ndarray, t_min: np.ndarray | float = 0.0
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """For every lamp with size: its index, the rows that see it between t_min and t_hit (inf on a miss), their
+        radiance [m, 3] and density [m], without the probability of choosing it."""
+        for light in np.flatnonzero((self.kind != TRIANGLE) & (self.kind != ENVIRONMENT) & ~self.delta):
             if self.kind[light] == LightKind.SUN:
                 seen = np.isinf(t_hit) & (dot(direction, self.axis_z[light]) >= self.size[light, 1])
                 pdf = np.full(len(origin), 1.0 / (2.0 * np.pi * sun_cone(self.size[light])))
@@ -153,11 +237,13 @@ class Lights:
                 if self.soft_falloff[light]:
                     crossing = self._cross_facing_disk
                 t, pdf = crossing(light, origin, direction)
-                seen = (t > 0.0) & (t < t_hit)
+                seen = (t > t_min) & (t < t_hit)
             rows = np.flatnonzero(seen)
             if len(rows):
-                radiance = self.radiance[light] * self.spot_attenuation(light, direction[rows])[:, None]
-                yield rows, radiance, pdf[rows] * self.probability[light]
+                attenuation = self.spot_attenuation(light, direction[rows])
+                if self.kind[light] in _AREAS:
+                    attenuation = self.spread_attenuation(light, dot(direction[rows], self.axis_z[light]))
+                yield int(light), rows, self.radiance[light] * attenuation[:, None], pdf[rows]
 
     def _cross_sphere(self, light, origin, direction):
         to_centre = self.position[light] - origin
@@ -191,11 +277,21 @@ class Lights:
             pdf = t * t / (cosine * self.area[light])
         return np.where(inside & (cosine > 0.0), t, -1.0), pdf
 
-    def triangle_pdf(self, emission: np.ndarray, t: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-        """Density of a hit at distance t of a triangle with emission [n, 3]. Its area cancels: choosing it is
-        proportional to it."""
-        with np.errstate(divide="ignore", over="ignore"):
-            return emission.mean(axis=1) * self.triangle_light_scale * t * t / np.abs(cosine)
+    def find(self, emitter: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+        """The lights [n] of triangles (numbers within their meshes) of emitters [n]; -1 for none."""
+        if not len(self.emitters):
+            return np.full(len(emitter), -1)
+        first, table = self.emitters[emitter].T
+        entry = np.where(emitter >= 0, table + triangle, 0)
+        number = self.light_of_triangle[entry]
+        return np.where((emitter >= 0) & (number >= 0), first + number, -1)
+
+    def triangle_pdf(self, light: np.ndarray, t: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """Density of hits at distance t of the triangles that are lights [n], without the probability of choosing them;
+        0 for light -1."""
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            pdf = t * t / (np.abs(cosine) * self.area[light] if len(self) else 1.0)
+        return np.where(light >= 0, pdf, 0.0)
 
 
 def sphere_cone(radius, distance_squared):

@@ -11,6 +11,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..flatten import MATERIAL_COLUMNS
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .bsdf import Bsdf, evaluate, sample
 from .intersect import SHADOW_END, Hits, offset_origin
 from .sampling import (
@@ -20,49 +23,75 @@ from .sampling import (
     lobe_pair,
     power_heuristic,
     random_pair,
+    shadow_pair,
     surface_pair,
 )
-from .surface import SceneView, Surface, surface_at
-from .vec import normalize
+from .surface import SceneView, Surface, surface_at, transmittance_at
 
 ROULETTE_START = 3
+# Numbers of the surfaces on one shadow ray.
+SHADOW_SURFACES = 1025
+
+_KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)
 
 
 @dataclass
 class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
-    that the ray follows. share: [n, 3], of the light to come that belongs to the diffuse signal."""
+    that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
+    signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray
+    only looks for light. transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     throughput: np.ndarray
     pdf: np.ndarray
+    smallest_pdf: np.ndarray
     delta: np.ndarray
     share: np.ndarray
+    normal: np.ndarray
+    kind: np.ndarray
+    bounces: np.ndarray
+    ends: np.ndarray
+    transparent_bounces: np.ndarray
+    t_min: np.ndarray
+    t_max: np.ndarray
 
     def rows(self, chosen: np.ndarray) -> Paths:
         return Paths(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 
 class Signals:
-    """Sums of light per pixel: emission, and two signals. split: "diffuse_specular" or "direct_indirect"."""
+    """Sums of light per pixel: emission, and two signals. split: "diffuse_specular" or "direct_indirect". With a
+    transparent film, alpha too."""
 
-    def __init__(self, count: int, split: str, has_specular: bool) -> None:
+    def __init__(self, count: int, split: str, has_specular: bool, limits: LightPaths, transparent_film: bool) -> None:
         self.images = {name: np.zeros((count, 3)) for name in ("emission", *split.split("_"))}
         self._first, self._second = split.split("_")
         self._has_specular = has_specular
+        self._limits = limits
+        self.transparent_film = transparent_film
         if split == "diffuse_specular" and not has_specular:
             del self.images["specular"]
+        if transparent_film:
+            self.images["alpha"] = np.zeros(count)
 
-    def add_emission(self, pixel: np.ndarray, value: np.ndarray) -> None:
-        self.images["emission"][pixel] += value
-
-    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, edges: int) -> None:
-        """edges: rays between the first hit and the light. share: see Paths."""
+    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: np.ndarray) -> None:
+        """bounces: [n], between the camera and the light. share: see Paths."""
         value = np.where(np.isfinite(value), value, 0.0)
-        if self._first == "direct":
-            self.images[self._first if edges == 1 else self._second][pixel] += value
+        limit = 3.0 * np.where(bounces > 1, self._limits.clamp_indirect, self._limits.clamp_direct)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = value * np.where(limit > 0.0, np.fmin(1.0, limit / value.sum(axis=1)), 1.0)[:, None]
+        for number in np.unique(np.minimum(bounces, 2)):
+            chosen = np.minimum(bounces, 2) == number
+            self._add(pixel[chosen], value[chosen], share[chosen], number)
+
+    def _add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: int) -> None:
+        if bounces == 0:
+            self.images["emission"][pixel] += value
+        elif self._first == "direct":
+            self.images[self._first if bounces == 1 else self._second][pixel] += value
         elif self._has_specular:
             self.images["diffuse"][pixel] += share * value
             self.images["specular"][pixel] += (1.0 - share) * value
@@ -76,62 +105,148 @@ def trace_paths(
     keys: np.ndarray,
     sample_number: int,
     bounces: int,
+    limits: LightPaths,
+    origin: np.ndarray,
     direction: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
     hits: Hits,
 ) -> None:
-    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. direction, hits: the primary rays and what
-    they hit."""
+    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits: the primary
+    rays, which look from near to far, and what they hit."""
     count = len(direction)
     paths = Paths(
         pixel=np.arange(count),
-        origin=np.zeros((count, 3)),  # of the primary rays: not needed, they were traced
-        direction=normalize(direction),
+        origin=origin,
+        direction=direction,
         throughput=np.ones((count, 3)),
         pdf=np.zeros(count),
+        smallest_pdf=np.full(count, np.inf),
         delta=np.ones(count, dtype=bool),
         share=np.zeros((count, 3)),
+        normal=np.zeros((count, 3)),
+        kind=np.full(count, int(RayVisibility.CAMERA)),
+        bounces=np.zeros((count, 3), dtype=np.int64),
+        ends=np.zeros(count, dtype=bool),
+        transparent_bounces=np.zeros(count, dtype=np.int64),
+        t_min=near,
+        t_max=far,
     )
-    for vertex in range(bounces + 2):
+    if signals.transparent_film:
+        signals.images["alpha"] += 1.0
+    vertex = 0
+    while len(paths.pixel):
         if vertex:
-            far = np.full(len(paths.pixel), np.inf)
-            hits = scene.shapes.closest(paths.origin, paths.direction, np.zeros_like(far), far)
-            _add_lamps(scene, signals, paths, hits, vertex)
-        _add_world(scene, signals, paths.rows(~hits.found), vertex)
+            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, paths.t_max, paths.kind)
+        _add_lamps(scene, signals, paths, hits)
+        _add_world(scene, signals, paths.rows(~hits.found))
         found = np.flatnonzero(hits.found)
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
             return
         choice = random_pair(keys[paths.pixel], surface_pair(vertex), sample_number)[:, 0]
         surface = surface_at(scene, hits, found, -paths.direction, choice)
-        _add_emission(scene, signals, paths, surface, t, vertex)
-        if vertex == bounces + 1:
-            return
+        _add_emission(scene, signals, paths, surface, t)
 
+        # What goes straight on keeps its ray, so that what it finds has the density with which it was sampled.
+        # As in Cycles the surface after the last that may be passed only shines, and one may always be passed.
+        goes_on = paths.transparent_bounces < max(limits.transparent_bounces, 1)
+        is_straight = surface.straight.max(axis=1, initial=0.0) > 0.0
+        straight = paths.rows(goes_on & is_straight)
+        straight.throughput = straight.throughput * surface.straight[goes_on & is_straight]
+        straight.t_min = t[goes_on & is_straight]
+        straight.transparent_bounces = straight.transparent_bounces + 1
+
+        number = paths.bounces.sum(axis=1)
         lobe_and_roulette = random_pair(keys[paths.pixel], lobe_pair(vertex), sample_number)
-        bsdf = surface.bsdf(-paths.direction)
-        if vertex >= ROULETTE_START:
-            survival = np.minimum(1.0, paths.throughput.max(axis=1))
-            alive = lobe_and_roulette[:, 1] < survival
-            paths, bsdf, lobe_and_roulette = paths.rows(alive), bsdf.rows(alive), lobe_and_roulette[alive]
-            position, magnitude = surface.position[alive], surface.magnitude[alive]
-            paths.throughput = paths.throughput / survival[alive][:, None]
-        else:
-            position, magnitude = surface.position, surface.magnitude
+        survival = np.where(number >= ROULETTE_START, np.minimum(1.0, paths.throughput.max(axis=1)), 1.0)
+        alive = goes_on & ~is_straight & ~paths.ends & (lobe_and_roulette[:, 1] < survival)
+        _simplify(surface, paths, limits)
+        surface, paths, lobe_and_roulette = surface.chosen(alive), paths.rows(alive), lobe_and_roulette[alive]
+        paths.throughput = paths.throughput / survival[alive][:, None]
+        if len(paths.pixel):
+            paths = _scatter(
+                scene, signals, keys, sample_number, bounces, limits, paths, surface, lobe_and_roulette, vertex
+            )
+        paths = Paths(**{
+            field.name: np.concatenate([getattr(paths, field.name), getattr(straight, field.name)])
+            for field in fields(Paths)
+        })  # fmt: skip
+        vertex += 1
 
-        if len(scene.lights):
-            light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)[:, 0]
-            light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
-            _add_direct_light(scene, signals, paths, bsdf, position, magnitude, light_choice, light_point, vertex)
 
-        next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
-        found = sample(bsdf, next_direction, lobe_and_roulette[:, 0])
-        value = found.diffuse + found.specular
-        if vertex == 0:
-            paths.share = _share(found.diffuse, value)
-        paths.throughput = paths.throughput * value
-        paths.direction, paths.pdf, paths.delta = found.direction, found.pdf, found.delta
-        paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
-        paths = paths.rows(paths.throughput.max(axis=1) > 0.0)
+def _scatter(
+    scene: SceneView,
+    signals: Signals,
+    keys: np.ndarray,
+    sample_number: int,
+    bounces: int,
+    limits: LightPaths,
+    paths: Paths,
+    surface: Surface,
+    lobe_and_roulette: np.ndarray,
+    vertex: int,
+) -> Paths:
+    """Light that is sampled at surfaces, and the paths that leave them."""
+    position, magnitude = surface.position, surface.magnitude
+    bsdf = surface.bsdf(-paths.direction)
+    allowed = _allowed_kinds(paths, limits)
+    if scene.lights.intervals:
+        _add_direct_light(
+            scene, signals, keys, sample_number, limits, paths, bsdf, position, magnitude, allowed, vertex
+        )
+
+    next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
+    found = sample(bsdf, next_direction, lobe_and_roulette[:, 0])
+    kind = np.array([0, *map(int, _KINDS)])[found.event]
+    diffuse, specular = _kept(found.diffuse, found.specular, allowed, kind == RayVisibility.TRANSMISSION)
+    value = diffuse + specular
+    first = paths.bounces.sum(axis=1) == 0
+    paths.share = np.where(first[:, None], _share(diffuse, value), paths.share)
+    paths.throughput = paths.throughput * value
+    paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, kind
+    paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
+    paths.normal = bsdf.normal
+    paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
+    paths.t_min = np.zeros(len(position))
+    paths.t_max = np.full(len(position), np.inf)
+    paths.bounces = paths.bounces + (kind[:, None] == np.array(_KINDS))
+    of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
+    paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (paths.bounces.sum(axis=1) > bounces)
+    return paths.rows(paths.throughput.max(axis=1) > 0.0)
+
+
+def _simplify(surface: Surface, paths: Paths, limits: LightPaths) -> None:
+    """What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow."""
+    if not limits.reflective_caustics:
+        surface.rows[paths.kind == RayVisibility.DIFFUSE, MATERIAL_COLUMNS["specular_ior_level"]] = 0.0
+    if limits.filter_glossy > 0.0:
+        density = np.minimum(paths.smallest_pdf / limits.filter_glossy, 1.0)
+        # GGX alpha is the square of roughness.
+        roughness = surface.rows[:, MATERIAL_COLUMNS["roughness"]]
+        roughness[:] = np.maximum(roughness, np.sqrt(0.5 * np.sqrt(1.0 - density)))
+
+
+def _allowed_kinds(paths: Paths, limits: LightPaths) -> np.ndarray:
+    """[n] bits of RayVisibility: the rays that may leave the next surface."""
+    without = RayVisibility.NONE
+    if not limits.reflective_caustics:
+        without |= RayVisibility.GLOSSY
+    if not limits.refractive_caustics:
+        without |= RayVisibility.TRANSMISSION
+    every = int(RayVisibility.ALL)
+    return np.where(paths.kind == RayVisibility.DIFFUSE, every & ~int(without), every)
+
+
+def _kept(
+    diffuse: np.ndarray, specular: np.ndarray, kinds: np.ndarray, below: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What of BSDF values [n, 3] rays of these kinds carry. below: directions to the other side of the surface."""
+
+    def has(above: RayVisibility) -> np.ndarray:
+        return (kinds & np.where(below, int(RayVisibility.TRANSMISSION), int(above)) != 0)[:, None]
+
+    return np.where(has(RayVisibility.DIFFUSE), diffuse, 0.0), np.where(has(RayVisibility.GLOSSY), specular, 0.0)
 
 
 def _share(diffuse: np.ndarray, total: np.ndarray) -> np.ndarray:
@@ -143,47 +258,59 @@ def _hit_weight(paths: Paths, light_pdf: np.ndarray) -> np.ndarray:
     return np.where(paths.delta, 1.0, power_heuristic(paths.pdf, light_pdf))[:, None]
 
 
-def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits, vertex: int) -> None:
-    """Lamps stop no ray: all that are crossed before the hit shine. Primary rays do not see them."""
-    for rows, radiance, pdf in scene.lights.crossed_lamps(paths.origin, paths.direction, hits.t):
-        crossing = paths.rows(rows)
+def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits) -> None:
+    """Lamps stop no ray: all that are crossed before the hit shine."""
+    lights = scene.lights
+    for light, rows, radiance, pdf in lights.crossed_lamps(paths.origin, paths.direction, hits.t, paths.t_min):
+        sees = paths.kind[rows] & lights.visibility[light] != 0
+        crossing, radiance, pdf = paths.rows(rows[sees]), radiance[sees], pdf[sees]
+        pdf = pdf * lights.choice_probability(np.full(len(pdf), light), crossing.origin, crossing.normal)
         value = crossing.throughput * radiance * _hit_weight(crossing, pdf)
-        signals.add(crossing.pixel, value, crossing.share, edges=vertex)
+        signals.add(crossing.pixel, value, crossing.share, crossing.bounces.sum(axis=1))
 
 
-def _add_world(scene: SceneView, signals: Signals, paths: Paths, vertex: int) -> None:
-    value = paths.throughput * scene.lights.world_radiance
-    if vertex == 0:
-        signals.add_emission(paths.pixel, value)
-    else:
-        signals.add(paths.pixel, value, paths.share, edges=vertex)
+def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
+    if signals.transparent_film:
+        seen = paths.kind == RayVisibility.CAMERA
+        signals.images["alpha"][paths.pixel[seen]] -= paths.throughput[seen].mean(axis=1)
+        paths = paths.rows(~seen)
+    paths = paths.rows(paths.kind & scene.world.visibility != 0)
+    pdf = np.zeros(len(paths.pixel))
+    if scene.world.light >= 0:
+        pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
+    value = paths.throughput * scene.world.radiance(paths.direction) * _hit_weight(paths, pdf)
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
 
 
-def _add_emission(
-    scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray, vertex: int
-) -> None:
-    if vertex == 0:
-        signals.add_emission(paths.pixel, surface.emission)
-        return
+def _add_emission(scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray) -> None:
     cosine = np.einsum("ni,ni->n", surface.geometric_normal, paths.direction)
-    pdf = scene.lights.triangle_pdf(surface.light_emission, t, cosine)
+    pdf = scene.lights.triangle_pdf(surface.light, t, cosine)
+    lit = np.flatnonzero((surface.light >= 0) & ~paths.delta)
+    pdf[lit] *= scene.lights.choice_probability(surface.light[lit], paths.origin[lit], paths.normal[lit])
     value = paths.throughput * surface.emission * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, edges=vertex)
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
 
 
 def _add_direct_light(
     scene: SceneView,
     signals: Signals,
+    keys: np.ndarray,
+    sample_number: int,
+    limits: LightPaths,
     paths: Paths,
     bsdf: Bsdf,
     position: np.ndarray,
     magnitude: np.ndarray,
-    light_choice: np.ndarray,
-    light_point: np.ndarray,
+    allowed: np.ndarray,
     vertex: int,
 ) -> None:
-    light = scene.lights.sample(scene.lights.choose(light_choice), position, light_point)
+    light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
+    light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
+    index, probability = scene.lights.choose(light_choice, position, bsdf.normal)
+    light = scene.lights.sample(index, probability, position, light_point)
     diffuse, specular, pdf = evaluate(bsdf, light.direction)
+    below = (bsdf.geometric_normal * light.direction).sum(axis=1) < 0.0
+    diffuse, specular = _kept(diffuse, specular, allowed & scene.lights.visibility[index], below)
     total = diffuse + specular
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.where(light.delta, 1.0, power_heuristic(light.pdf, pdf)) / light.pdf
@@ -191,6 +318,46 @@ def _add_direct_light(
     lit = np.flatnonzero((light.pdf > 0.0) & (value > 0.0).any(axis=1))
     direction = light.direction[lit]
     origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
-    lit = lit[~scene.shapes.occluded(origin, direction, light.distance[lit] * SHADOW_END)]
-    share = _share(diffuse, total) if vertex == 0 else paths.share
-    signals.add(paths.pixel[lit], value[lit], share[lit], edges=vertex + 1)
+    surfaces = limits.transparent_bounces - paths.transparent_bounces[lit]
+    value[lit] *= _shadow_transmittance(
+        scene,
+        keys[paths.pixel[lit]],
+        sample_number,
+        vertex,
+        origin,
+        direction,
+        light.distance[lit] * SHADOW_END,
+        surfaces,
+    )
+    number = paths.bounces.sum(axis=1)[lit]
+    share = np.where((number == 0)[:, None], _share(diffuse[lit], total[lit]), paths.share[lit])
+    signals.add(paths.pixel[lit], value[lit], share, number + 1)
+
+
+def _shadow_transmittance(
+    scene: SceneView,
+    keys: np.ndarray,
+    sample_number: int,
+    vertex: int,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    t_max: np.ndarray,
+    surfaces: np.ndarray,
+) -> np.ndarray:
+    """What is left, [n, 3], of light that goes straight on to the end of shadow rays, through at most so many surfaces
+    [n]."""
+    left = np.ones((len(origin), 3))
+    t_min, rows = np.zeros(len(origin)), np.arange(len(origin))
+    number = 0
+    while len(rows):
+        kind = np.full(len(rows), int(RayVisibility.SHADOW))
+        hits = scene.shapes.closest(origin[rows], direction[rows], t_min[rows], t_max[rows], kind)
+        found = np.flatnonzero(hits.found)
+        rows, t = rows[found], hits.t[found]
+        choice = random_pair(keys[rows], shadow_pair(vertex * SHADOW_SURFACES + number), sample_number)[:, 0]
+        passed = transmittance_at(scene, hits, found, -direction[rows], choice) if len(rows) else np.zeros((0, 3))
+        left[rows] *= np.where((number < surfaces[rows])[:, None], passed, 0.0)
+        t_min[rows] = t
+        rows = rows[left[rows].max(axis=1, initial=0.0) > 0.0]
+        number += 1
+    return left

@@ -12,6 +12,7 @@ import numpy as np
 
 # Pairs of one sample: the point in the pixel, then PAIRS_PER_VERTEX for each vertex, the first hit being vertex 0.
 PIXEL_PAIR = 0
+LENS_PAIR = 1 << 17
 PAIRS_PER_VERTEX = 4
 
 
@@ -31,13 +32,18 @@ def light_point_pair(vertex: int) -> int:
 
 
 def light_choice_pair(vertex: int) -> int:
-    """Which light; the second number is not used."""
+    """Which light."""
     return 4 + PAIRS_PER_VERTEX * vertex
 
 
 def surface_pair(vertex: int) -> int:
     """Part of a mix, and whether the ray passes straight; the second number is not used. Far from all others."""
     return (1 << 16) + PAIRS_PER_VERTEX * vertex
+
+
+def shadow_pair(number: int) -> int:
+    """Part of a mix at a surface on a shadow ray."""
+    return (1 << 18) + PAIRS_PER_VERTEX * number
 
 
 def _uint32(x) -> np.ndarray:

@@ -9,9 +9,12 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .bsdf import Bsdf, column, fresnel_dielectric, make_bsdf, make_layers
+from .bsdf import Bsdf, make_bsdf
+from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
+from .layers import column, make_layers
 from .lights import Lights
+from .microfacet import fresnel_dielectric
 from .texture import Texture
 from .vec import dot, normalize, transform_normal, transform_point, transform_vector
 
@@ -46,6 +49,10 @@ class Mesh:
         self.box = (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else np.zeros((2, 3))
         self.hierarchy = Hierarchy(solid.min(axis=1), solid.max(axis=1), leaf_size=4)
 
+    def refit(self, device, positions, normals, previous_positions) -> bool:
+        """The reference makes meshes anew."""
+        return False
+
 
 class Shapes(Geometry):
     """Instances of meshes with all that is read at a hit. Arrays: see FlatScene."""
@@ -60,13 +67,20 @@ class Shapes(Geometry):
         object_id,
         material_start,
         material_table,
+        visibility,
+        emitter,
     ) -> None:
         def transforms(rows) -> np.ndarray:
             return np.asarray(rows, dtype=np.float64).reshape(-1, 3, 4)
 
         super().__init__(
-            meshes, np.asarray(instance_mesh, dtype=np.int64), transforms(object_to_world), transforms(world_to_object)
+            meshes,
+            np.asarray(instance_mesh, dtype=np.int64),
+            transforms(object_to_world),
+            transforms(world_to_object),
+            np.asarray(visibility, dtype=np.int64),
         )
+        self.emitter = np.asarray(emitter, dtype=np.int64)
         self.previous_object_to_world = transforms(previous_object_to_world)
         self.object_id = np.asarray(object_id, dtype=np.int64)
         self.material_start = np.asarray(material_start, dtype=np.int64)
@@ -94,6 +108,7 @@ class SceneView:
     material_maps: np.ndarray
     textures: list[Texture]
     lights: Lights
+    world: World
 
 
 @dataclass
@@ -102,7 +117,8 @@ class Surface:
     world. smooth_normal: without the normal map. tangent: [n, 3], of anisotropy. magnitude: [n], of the terms that the
     position was summed from. material: [n], in the mesh's slot. rows: [n, 48], of the material itself, which may be a
     part of that one, with the values of its maps. weight: [n], of all that it does. straight: [n, 3], what a ray that
-    goes straight on is multiplied by where the hit lets it pass, else 0. emission: [n, 3], towards the viewer."""
+    goes straight on is multiplied by where the hit lets it pass, else 0. emission: [n, 3], towards the viewer.
+    light: [n], of the lights, -1 for none."""
 
     position: np.ndarray
     previous_position: np.ndarray
@@ -117,7 +133,7 @@ class Surface:
     weight: np.ndarray
     straight: np.ndarray
     emission: np.ndarray
-    light_emission: np.ndarray
+    light: np.ndarray
 
     def chosen(self, rows: np.ndarray) -> Surface:
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
@@ -184,7 +200,9 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
         weight=weight,
         straight=np.where((choice >= opacity)[:, None], tint * weight[:, None], 0.0),
         emission=np.where(whole[:, None], light_emission, emission),
-        light_emission=light_emission,
+        light=scene.lights.find(
+            shapes.emitter[instance], triangle - shapes.first_triangle[shapes.instance_mesh[instance]]
+        ),
     )
 
 
@@ -196,7 +214,9 @@ def find_opacity(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(is_transparent, 0.0, opacity), np.where(is_transparent[:, None], column(rows, "base_color"), 1.0)
 
 
-def transmittance_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray, choice: np.ndarray) -> np.ndarray:
+def transmittance_at(
+    scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray, choice: np.ndarray
+) -> np.ndarray:
     """What is left, [n, 3], of light that goes straight through a hit, on the mean over choice. Arguments: see
     surface_at."""
     surface = surface_at(scene, hits, found, view, choice)
@@ -306,21 +326,21 @@ def _apply_maps(scene: SceneView, hits: Hits, found: np.ndarray, material: np.nd
     for index in np.unique(material):
         chosen = np.flatnonzero(material == index)
         start, count = rows[chosen[0], 40:42].astype(int)
-        for column, texture, channel, layer, *transform in scene.material_maps[start : start + count, :10]:
+        for place, texture, channel, layer, *transform in scene.material_maps[start : start + count, :10]:
             uv = np.zeros((len(chosen), 2))
             if layer < len(shapes.uvs):
                 corners = shapes.uvs[int(layer), hits.triangle[found[chosen]]]
                 uv = np.einsum("nc,nci->ni", hits.weights[found[chosen]], corners)
             uv = uv @ np.reshape(transform, (2, 3))[:, :2].T + np.reshape(transform, (2, 3))[:, 2]
             texel = scene.textures[int(texture)].lookup(uv)
-            column = int(column)
-            if column == MATERIAL_COLUMNS["emission"]:
-                rows[chosen, column : column + 3] *= texel[:, :3]
-            elif column == MATERIAL_COLUMNS["normal"]:
-                rows[chosen, column : column + 3] = texel[:, :3]
+            place = int(place)
+            if place == MATERIAL_COLUMNS["emission"]:
+                rows[chosen, place : place + 3] *= texel[:, :3]
+            elif place == MATERIAL_COLUMNS["normal"]:
+                rows[chosen, place : place + 3] = texel[:, :3]
             elif channel < 0:
-                rows[chosen, column : column + 3] = np.clip(texel[:, :3], 0.0, 1.0)
+                rows[chosen, place : place + 3] = np.clip(texel[:, :3], 0.0, 1.0)
             else:
-                low, high = _RANGES.get(column, (0.0, 1.0))
-                rows[chosen, column] = np.clip(texel[:, int(channel)], low, high)
+                low, high = _RANGES.get(place, (0.0, 1.0))
+                rows[chosen, place] = np.clip(texel[:, int(channel)], low, high)
     return rows

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..effects import Effects
+from ..effects import MOTION_EFFECTS, Effects
+from ..light_paths import LightPaths
+from ..scene import RayVisibility
 from .camera import Camera, pixel_centers
 from .device import Device
-from .gbuffer import trace_gbuffer
+from .environment import World
+from .gbuffer import PrimaryRays, trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import PIXEL_PAIR, pixel_keys, random_pair, surface_pair
+from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair, surface_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -22,11 +25,12 @@ class Tracer:
 
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
-        self._shapes = Shapes([], *(np.zeros(0) for _ in range(7)))
+        self._shapes = Shapes([], *(np.zeros(0) for _ in range(9)))
         self._materials = np.zeros((0, 48))
         self._material_maps = np.zeros((0, 12))
         self._textures: list[Texture] = []
-        self._lights = Lights([], [], [], [0.0], 0.0, np.zeros(3))
+        self._lights = Lights()
+        self._world: tuple = ()
         self._camera_rows: tuple[np.ndarray, ...] = ()
 
     def set_instances(
@@ -39,6 +43,8 @@ class Tracer:
         object_id,
         material_start,
         material_table,
+        visibility,
+        emitter,
     ) -> None:
         self._shapes = Shapes(
             meshes,
@@ -49,6 +55,8 @@ class Tracer:
             object_id,
             material_start,
             material_table,
+            visibility,
+            emitter,
         )
 
     def set_materials(self, materials, material_maps, textures: list[Texture]) -> None:
@@ -59,15 +67,16 @@ class Tracer:
     def set_albedo_tables(self, tables) -> None:
         """They are those of svgf.albedo in any case."""
 
-    def set_lights(
-        self, light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
-    ) -> None:
-        self._lights = Lights(
-            light_kind, light_data, light_probability, light_cdf, triangle_light_scale, world_radiance
-        )
+    def set_lights(self, **columns) -> None:
+        self._lights = Lights(**columns)
 
-    def set_camera(self, camera_to_world, previous_camera_to_world, window, previous_window, clip) -> None:
-        rows = (camera_to_world, previous_camera_to_world, window, previous_window, clip)
+    def set_world(self, radiance, visibility, texture: int, light: int, to_environment, row_cdf, column_cdf) -> None:
+        self._world = (radiance, visibility, texture, light, to_environment, row_cdf, column_cdf)
+
+    def set_camera(
+        self, camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens
+    ) -> None:
+        rows = (camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens)
         self._camera_rows = tuple(np.asarray(row, dtype=np.float64) for row in rows)
 
     def trace(
@@ -81,38 +90,77 @@ class Tracer:
         effects: int,
         pixel_filter: str,
         signals: str,
+        light_paths: tuple = (),
+        transparent_film: bool = False,
+        kernel: int = 0,
     ) -> dict[str, np.ndarray]:
         """Images [height, width] or [height, width, channels] by name: those of the G-buffer, of the first sample, then
         "emission" and the signals, means over samples.
 
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
-        "direct_indirect".
+        "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
+        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion" only with
+        an effect that moves something. kernel: of no account here, there is only one.
         """
-        camera_to_world, previous_camera_to_world, window, previous_window, clip = self._camera_rows
-        camera = Camera(camera_to_world, window, width, height)
-        previous_camera = Camera(previous_camera_to_world, previous_window, width, height)
-        scene = SceneView(self._shapes, self._materials, self._material_maps, self._textures, self._lights)
+        camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
+            self._camera_rows
+        )
+        camera = Camera(camera_to_world, window, lens, width, height)
+        previous_camera = Camera(previous_camera_to_world, previous_window, previous_lens, width, height)
+        scene = SceneView(
+            self._shapes, self._materials, self._material_maps, self._textures, self._lights, self._make_world()
+        )
+        scene.lights.textures, scene.lights.world = scene.textures, scene.world
+        limits = LightPaths(*light_paths)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
-        radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR))
+        radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR), limits, transparent_film)
         for number in range(sample, sample + samples):
             with self._device.stage("gbuffer"):
                 point = pixel_centers(width, height)
                 if pixel_filter == "box":
                     point = point - 0.5 + random_pair(keys, PIXEL_PAIR, number)
-                direction = camera.direction(point)
-                hits = self._primary_hits(camera, direction, clip)
+                origin, direction = camera.rays(point, random_pair(keys, LENS_PAIR, number))
+                # Directions have planar depth 1, so the planar clip distances are those along the ray. From here on
+                # rays count in metres.
+                length = np.sqrt((direction**2).sum(axis=1))
+                direction, near, far = direction / length[:, None], clip[0] * length, clip[1] * length
+                hits = self._shapes.closest(origin, direction, near, far, np.full(len(far), int(RayVisibility.CAMERA)))
                 if not images:
-                    choice = random_pair(keys, surface_pair(0), number)[:, 0]
-                    images = trace_gbuffer(scene, camera, previous_camera, point, direction, hits, choice)
+                    primary = PrimaryRays(
+                        point, origin, direction, far, lambda vertex: random_pair(keys, surface_pair(vertex), number)
+                    )
+                    images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, direction, hits)
+                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
+        if not Effects(effects) & Effects.SPECULAR:
+            del images["specular_albedo"]
+        if not Effects(effects) & MOTION_EFFECTS:
+            del images["motion"]
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
 
-    def _primary_hits(self, camera: Camera, direction: np.ndarray, clip: np.ndarray) -> Hits:
-        # Directions have planar depth 1, so the planar clip distances are those along the ray.
-        origin = np.broadcast_to(camera.to_world[:, 3], direction.shape)
-        near, far = (np.full(len(direction), distance) for distance in clip)
-        return self._shapes.closest(origin, direction, near, far)
+    def cast(self, rays: np.ndarray, any_hit: bool) -> dict[str, np.ndarray]:
+        """rays [H, W, 8]: origin, direction, and the distances between which hits count, in lengths of the direction.
+
+        Images "distance", infinity where nothing is hit, "instance" and "triangle", -1 there; with any_hit "occluded", 0 or 1.
+        """
+        shape, rays = rays.shape[:2], np.asarray(rays, dtype=np.float64).reshape(-1, 8)
+        everything = np.full(len(rays), int(RayVisibility.ALL))
+        with self._device.stage("occluded" if any_hit else "closest"):
+            hits = self._shapes.closest(rays[:, :3], rays[:, 3:6], rays[:, 6], rays[:, 7], everything)
+        if any_hit:
+            return {"occluded": hits.found.astype(np.int32).reshape(shape)}
+        images = {
+            "distance": np.where(hits.found, hits.t, np.inf),
+            "instance": np.where(hits.found, hits.instance, -1).astype(np.int32),
+            "triangle": np.where(hits.found, hits.triangle - self._shapes.start_of(hits.instance), -1).astype(np.int32),
+        }
+        return {name: image.reshape(shape) for name, image in images.items()}
+
+    def _make_world(self) -> World:
+        if not self._world:
+            return World()
+        radiance, visibility, texture, *rest = self._world
+        return World(radiance, visibility, self._textures[texture] if texture >= 0 else None, *rest)

@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+namespace svgf {
+
+// How far light is followed: svgf.LightPaths. All but `bounces` only counts in kernels for Effects::light_path_limits.
+struct LightPaths {
+    int bounces = 0;  // >= 0; 0 is direct light
+    int diffuse_bounces = 1024, glossy_bounces = 1024, transmission_bounces = 1024, transparent_bounces = 1024;
+    bool reflective_caustics = true, refractive_caustics = true;
+    float clamp_direct = 0, clamp_indirect = 0;  // 0: none
+    float filter_glossy = 0;                     // 0: none
+};
+
+}  // namespace svgf

@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+// Stage "path" on the GPU: all paths go from vertex to vertex together, in three launches each [Laine13].
+//
+//   extend  closest hits of the rays that the paths follow
+//   shade   light found at the vertices, the paths' next rays and their shadow rays
+//   shadow  whether the shadow rays arrive
+//
+// What a path carries lies in memory, one record per pixel; queues name the pixels whose paths go on, so that warps
+// stay full, and each kernel is small enough for the instruction cache. Every pixel's light is summed in the order in
+// which trace/path.h finds it, to the same bits.
+#pragma once
+
+#include "core/append.h"
+#include "core/load.h"
+#include "trace/path.h"
+
+namespace svgf {
+
+#ifndef V_B
+#define V_B 6, 5, 4, 3
+#endif
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
+// registers it is left.
+template <Effects kernel>
+constexpr int shade_blocks = [] {
+    constexpr int blocks[] = {V_B};
+    if (covers(kernel, Effects::alpha)) return blocks[3];
+    if (covers(kernel, Effects::transmission)) return blocks[2];
+    return covers(kernel, Effects::specular) ? blocks[1] : blocks[0];
+}();
+
+// Records as they lie in memory: whole reads of 16 bytes.
+struct alignas(16) PathRecord {
+    Vec3 origin;
+    float t_min;
+    Vec3 direction;
+    float t_max;
+    Vec3 throughput;
+    float pdf;
+    Vec3 diffuse_share;
+    float smallest_pdf;
+    Vec3 normal;
+    std::uint32_t bounces;          // and above bit 16 transparent_bounces
+    std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
+    std::uint32_t transmission_bounces;
+    std::uint32_t kind_and_flags;  // bit 30: delta, bit 31: ends
+    std::uint32_t unused;
+
+    PathRecord() = default;
+    SVGF_HD explicit PathRecord(const Path& path)
+        : origin(path.ray.origin), t_min(path.ray.t_min), direction(path.ray.direction), t_max(path.ray.t_max),
+          throughput(path.throughput), pdf(path.pdf), diffuse_share(path.diffuse_share),
+          smallest_pdf(path.smallest_pdf), normal(path.normal),
+          bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
+          diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
+          transmission_bounces(std::uint32_t(path.transmission_bounces)),
+          kind_and_flags(path.ray.kind | (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)), unused(0) {}
+
+    SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
+    SVGF_HD Path path() const {
+        Path path;
+        path.ray = ray();
+        path.throughput = throughput;
+        path.diffuse_share = diffuse_share;
+        path.normal = normal;
+        path.pdf = pdf;
+        path.smallest_pdf = smallest_pdf;
+        path.bounces = int(bounces & 0xffffu);
+        path.transparent_bounces = int(bounces >> 16);
+        path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
+        path.glossy_bounces = int(diffuse_bounces >> 16);
+        path.transmission_bounces = int(transmission_bounces);
+        path.delta = (kind_and_flags >> 30 & 1u) != 0;
+        path.ends = kind_and_flags >> 31 != 0;
+        return path;
+    }
+};
+struct alignas(16) ShadowRecord {
+    Vec3 origin;
+    float t_max;
+    Vec3 direction;
+    std::int32_t bounces;
+    Vec3 light;
+    std::int32_t surfaces;
+    Vec3 diffuse_share;
+    float unused;
+
+    SVGF_HD ShadowRay shadow() const {
+        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, surfaces};
+    }
+};
+struct alignas(16) GatheredRecord {
+    Vec3 emission;
+    float alpha;
+    Vec3 first;
+    float unused0;
+    Vec3 second;
+    float unused1;
+
+    GatheredRecord() = default;
+    SVGF_HD explicit GatheredRecord(const Gathered& light)
+        : emission(light.emission), alpha(light.alpha), first(light.first), unused0(0), second(light.second),
+          unused1(0) {}
+
+    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha}; }
+};
+
+// Pixels that a launch works on, in any order.
+struct PixelQueue {
+    std::int32_t* pixels;
+    std::int32_t* count;
+
+    SVGF_HD void push_if(bool wanted, int pixel) const {
+        if (wanted) pixels[append(count)] = pixel;
+    }
+};
+
+struct PathMemory {
+    PathRecord* paths;
+    ShadowRecord* shadows;
+    GatheredRecord* gathered;
+    Hit* hits;
+};
+
+struct ExtendStage {
+    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+
+    SceneView scene;
+    PathMemory memory;
+    const std::int32_t* in_pixels;
+
+    SVGF_HD void operator()(int i) const {
+        const int pixel = in_pixels[i];
+        memory.hits[pixel] = find_closest_hit(scene, memory.paths[pixel].ray());
+    }
+};
+
+// Primary rays where the gbuffer did not trace them.
+template <Effects kernel>
+struct FirstExtendStage {
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
+
+    SceneView scene;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    Hit* out_hit;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const Sampler sampler(x, y, camera.width, seed, sample);
+        out_hit[y * camera.width + x] = find_closest_hit(
+            scene, primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler));
+    }
+};
+
+// Shades a vertex and puts its path and its shadow ray into the queues.
+template <Effects kernel>
+SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler, int vertex,
+                   int pixel, const Hit& hit, Path& path, Gathered& light, const PixelQueue& out_paths,
+                   const PixelQueue& out_shadows) {
+    ShadowRay shadow;
+    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
+    store(memory.gathered + pixel, GatheredRecord(light));
+    if (goes_on) store(memory.paths + pixel, PathRecord(path));
+    if (shadow.exists())
+        store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
+                                       shadow.light, shadow.surfaces, shadow.diffuse_share, 0});
+    out_paths.push_if(goes_on, pixel);
+    out_shadows.push_if(shadow.exists(), pixel);
+}
+
+template <Effects kernel>
+struct ShadeStage {
+    static constexpr LaunchShape launch_shape{32, 4, shade_blocks<kernel>};
+
+    PathVertices<kernel> vertices;
+    PathMemory memory;
+    int width;
+    std::uint32_t sample, seed;
+    int vertex;  // not 0
+    const std::int32_t* in_pixels;
+    PixelQueue out_paths, out_shadows;
+
+    SVGF_HD void operator()(int i) const {
+        const int pixel = in_pixels[i];
+        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        Path path = load(memory.paths + pixel).path();
+        Gathered light = load(memory.gathered + pixel).gathered();
+        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, light, out_paths, out_shadows);
+    }
+};
+
+// Vertex 0 of all pixels.
+template <Effects kernel>
+struct FirstShadeStage {
+    static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
+
+    PathVertices<kernel> vertices;
+    PathMemory memory;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    const Hit* in_hit;
+    PixelQueue out_paths, out_shadows;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const Sampler sampler(x, y, camera.width, seed, sample);
+        const int pixel = y * camera.width + x;
+        Path path;
+        path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        Gathered light;
+        shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, light, out_paths, out_shadows);
+    }
+};
+
+template <Effects kernel>
+struct ShadowStage {
+    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+
+    PathVertices<kernel> vertices;
+    PathMemory memory;
+    int width;
+    std::uint32_t sample, seed;
+    int vertex;  // from which the rays start
+    const std::int32_t* in_pixels;
+
+    SVGF_HD void operator()(int i) const {
+        const int pixel = in_pixels[i];
+        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        Gathered light = load(memory.gathered + pixel).gathered();
+        vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
+        store(memory.gathered + pixel, GatheredRecord(light));
+    }
+};
+
+// Adds a sample to the images.
+struct GatherStage {
+    const GatheredRecord* in_gathered;
+    RadianceImages out;
+
+    SVGF_HD void operator()(int pixel) const { out.add(pixel, load(in_gathered + pixel).gathered()); }
+};
+
+}  // namespace svgf

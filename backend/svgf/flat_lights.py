@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lights of a FlatScene: lamps, the environment and triangles that shine, and how one of them is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .effects import instances_by_mesh
+from .environment import linear_pixels, mean_radiance, sampling_map
+from .light_tree import SMALLEST_TREE, LightBounds, build_light_tree
+from .scene import Light, LightKind, Mesh, Scene, TextureMap
+
+# light_kind after those of LightKind
+TRIANGLE = 5
+ENVIRONMENT = 6
+
+# Radiance of an area lamp, times its area, over its power.
+AREA_LAMP_RADIANCE = 1.0 / np.pi
+
+# An area lamp without width is a limit that no sampling reaches; this narrow one has the same power. Metres.
+SMALLEST_LAMP_WIDTH = 1e-6
+
+# The narrowest spread, as in Cycles. Radians.
+SMALLEST_SPREAD = np.pi / 180.0
+
+
+@dataclass
+class Emission:
+    """Of materials. radiance: [M, 3], by which the map is multiplied where there is one."""
+
+    radiance: np.ndarray
+    maps: tuple[TextureMap | None, ...]
+
+
+@dataclass
+class _Rows:
+    """Lights of one kind. weight: [n], by which one is chosen."""
+
+    kind: np.ndarray
+    data: np.ndarray
+    visibility: np.ndarray
+    weight: np.ndarray
+
+
+def flatten_lights(
+    scene: Scene, instances: dict[str, np.ndarray], emission: Emission, origin: np.ndarray, extent: float
+) -> dict[str, Any]:
+    """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances."""
+    lamps = _lamps(scene.lights, origin, extent)
+    environment, row_cdf, column_cdf = _environment(scene, extent)
+    triangles, emitters = _emissive_triangles(scene, instances, emission)
+    is_sun = lamps.kind == LightKind.SUN
+    groups = (_chosen(lamps, is_sun), environment, _chosen(lamps, ~is_sun), triangles)
+    kind, data, visibility, weight = (
+        np.concatenate([getattr(rows, name) for rows in groups]) for name in ("kind", "data", "visibility", "weight")
+    )
+    everywhere = np.count_nonzero(is_sun) + len(environment.kind)
+    first_triangle = everywhere + np.count_nonzero(~is_sun)
+    emitters["emitters"][:, 0] += first_triangle
+    emission_map = np.full(len(kind), -1, dtype=np.int32)
+    emission_map[first_triangle:] = emitters.pop("emission_map")
+    return {
+        "light_kind": kind,
+        "light_data": data,
+        "light_visibility": visibility,
+        **_choice(kind, data, weight, everywhere),
+        "emission_map": emission_map,
+        **emitters,
+        "row_cdf": row_cdf,
+        "column_cdf": column_cdf,
+    }
+
+
+def _chosen(rows: _Rows, chosen: np.ndarray) -> _Rows:
+    return _Rows(*(values[chosen] for values in vars(rows).values()))
+
+
+def _choice(kind: np.ndarray, data: np.ndarray, weight: np.ndarray, everywhere: int) -> dict[str, np.ndarray]:
+    """everywhere: how many of the first lights are suns or the environment."""
+    total = weight.sum()
+    nodes, light_of_leaf = np.zeros((0, 12)), np.zeros(0, dtype=np.int32)
+    share = weight / total if total > 0.0 else weight
+    intervals, probability = share, share
+    if len(weight) - everywhere >= SMALLEST_TREE:
+        nodes, light_of_leaf = build_light_tree(_bounds(kind[everywhere:], data[everywhere:], weight[everywhere:]))
+        light_of_leaf[light_of_leaf >= 0] += everywhere
+        intervals = np.append(share[:everywhere], share[everywhere:].sum())
+        probability = np.where(np.arange(len(weight)) < everywhere, share, intervals[-1])
+    cdf = np.zeros(len(intervals) + 1)
+    if len(intervals):
+        np.cumsum(intervals, out=cdf[1:])
+        cdf[1:] /= cdf[-1]
+    return {"light_probability": probability, "light_cdf": cdf, "light_tree": nodes, "light_of_leaf": light_of_leaf}
+
+
+def _bounds(kind: np.ndarray, data: np.ndarray, weight: np.ndarray) -> LightBounds:
+    """Of lights that are somewhere."""
+    position, axis_x, axis_y, axis_z = (data[:, i : i + 3] for i in (0, 3, 6, 9))
+    size, tangent = data[:, 15:17], data[:, 18]
+    is_triangle = kind == TRIANGLE
+    is_ball = (kind == LightKind.POINT) | (kind == LightKind.SPOT)
+    # Of a triangle, three corners; of an area lamp, the box of its rectangle; of a ball, its cube.
+    corners = np.stack([position, position + axis_x, position + axis_y])
+    half = np.where(is_ball[:, None], size[:, 0:1], (np.abs(axis_x) * size[:, 0:1] + np.abs(axis_y) * size[:, 1:2]) / 2)
+    low = np.where(is_triangle[:, None], corners.min(axis=0), position - half)
+    high = np.where(is_triangle[:, None], corners.max(axis=0), position + half)
+    # A spot fades out at its cone, an area lamp with a spread at its angle; all others shine to a whole side.
+    has_spread = ~is_triangle & ~is_ball & (data[:, 19] > 0.0)
+    cos_emission = np.where(has_spread, np.cos(np.arctan(np.where(has_spread, tangent, 0.0))), 0.0)
+    cos_emission = np.where(kind == LightKind.SPOT, data[:, 18], cos_emission)
+    return LightBounds(
+        low=low,
+        high=high,
+        axis=np.where(is_triangle[:, None], axis_z, -axis_z),
+        cos_normals=np.where(kind == LightKind.POINT, -1.0, 1.0),
+        cos_emission=cos_emission,
+        power=weight,
+        two_sided=is_triangle,
+    )
+
+
+def _environment(scene: Scene, extent: float) -> tuple[_Rows, np.ndarray, np.ndarray]:
+    """No row or one, row_cdf and column_cdf."""
+    world = scene.world
+    row_cdf, column_cdf, mean = np.zeros(0, np.float32), np.zeros((0, 1), np.float32), 0.0
+    if world.environment >= 0 and max(world.radiance) > 0.0:
+        row_cdf, column_cdf, mean = sampling_map(mean_radiance(scene.textures[world.environment]))
+    weight = float(np.mean(world.radiance)) * mean * 4.0 * np.pi * np.pi * (extent / 2.0) ** 2
+    count = int(0.0 < weight < np.inf)
+    rows = _Rows(
+        np.full(count, ENVIRONMENT, dtype=np.int32),
+        np.zeros((count, 24)),
+        np.full(count, int(world.visibility), dtype=np.uint8),
+        np.full(count, weight),
+    )
+    return rows, row_cdf, column_cdf
+
+
+def _lamps(lights: tuple[Light, ...], origin: np.ndarray, extent: float) -> _Rows:
+    """The lamps that shine."""
+    kinds, rows, weights, visibilities = [], [], [], []
+    for light in lights:
+        row, weight = _lamp(light, origin, extent)
+        if 0.0 < weight < np.inf:
+            kinds.append(int(light.kind))
+            rows.append(row)
+            weights.append(weight)
+            visibilities.append(int(light.visibility))
+    return _Rows(
+        np.array(kinds, dtype=np.int32),
+        np.array(rows).reshape(-1, 24),
+        np.array(visibilities, dtype=np.uint8),
+        np.array(weights, dtype=np.float64),
+    )
+
+
+def _lamp(light: Light, origin: np.ndarray, extent: float) -> tuple[np.ndarray, float]:
+    row = np.zeros(24)
+    axes = np.asarray(light.light_to_world, dtype=np.float64)[:, :3].T
+    row[0:3] = light.light_to_world[:, 3] - origin
+    row[3:12] = (axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-300)).ravel()
+    power = np.asarray(light.power, dtype=np.float64)
+    weight = power.mean()
+    if light.kind in (LightKind.POINT, LightKind.SPOT):
+        radius = max(light.size[0], 0.0)
+        intensity = power / (4.0 * np.pi)
+        row[12:15] = intensity / (np.pi * radius**2) if radius > 0.0 else intensity
+        row[15] = radius
+        row[20] = radius == 0.0
+        row[23] = light.soft_falloff and radius > 0.0
+    elif light.kind == LightKind.SUN:
+        sine, cosine = np.sin(light.size[0] / 2.0), np.cos(light.size[0] / 2.0)
+        row[12:15] = power / (np.pi * sine**2) if sine > 0.0 else power
+        row[15:17] = sine, cosine
+        row[20] = sine <= 0.0
+        weight *= np.pi * (extent / 2.0) ** 2
+    else:
+        widths = np.maximum(light.size, SMALLEST_LAMP_WIDTH)
+        area = widths.prod() * (np.pi / 4.0 if light.kind == LightKind.ELLIPSE else 1.0)
+        row[12:15] = power * AREA_LAMP_RADIANCE / area
+        row[15:17] = widths
+        row[17] = area
+        half_spread = max(light.spread, SMALLEST_SPREAD) / 2.0
+        # At pi the tangent is without bound, and nothing fades.
+        if half_spread < np.pi / 2.0 - 1e-4:
+            row[18] = np.tan(half_spread)
+            row[19] = 1.0 / (row[18] - half_spread)
+    if light.kind == LightKind.SPOT:
+        cos_half = np.cos(light.spot_angle / 2.0)
+        row[18] = cos_half
+        row[19] = 1.0 / max(1e-3, (1.0 - cos_half) * light.spot_blend)
+    return row, float(weight)
+
+
+@dataclass
+class _Found:
+    """What is gathered of triangles that emit, an item for each mesh and list of materials. owner: instances."""
+
+    owner: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0, dtype=np.int64)])
+    vertex: list[np.ndarray] = field(default_factory=lambda: [np.zeros((0, 3, 3))])
+    radiance: list[np.ndarray] = field(default_factory=lambda: [np.zeros((0, 3))])
+    mean: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0)])  # with the map
+    emission_map: list[np.ndarray] = field(default_factory=lambda: [np.zeros(0, dtype=np.int32)])
+
+
+def _emissive_triangles(
+    scene: Scene, instances: dict[str, np.ndarray], emission: Emission
+) -> tuple[_Rows, dict[str, np.ndarray]]:
+    """The triangles that emit, in instance order, and the fields of a FlatScene that say which light a triangle is."""
+    meshes, table = scene.meshes, instances["material_table"]
+    mean = _mean_emission(scene, emission)
+    emits = (mean > 0.0)[table] if len(table) else np.zeros(0, dtype=bool)
+    found, emission_maps, map_count = _Found(), [np.zeros((0, 8))], 0
+    emitter = np.full(len(instances["instance_mesh"]), -1, dtype=np.int32)
+    light_of_triangle, members_of_table, table_start = [np.zeros(0, dtype=np.int32)], [], 0
+    if emits.any():
+        order, bounds = instances_by_mesh(instances["instance_mesh"], len(meshes))
+        for index in np.flatnonzero(np.diff(bounds)):
+            members = order[bounds[index] : bounds[index + 1]]
+            slots = np.asarray(meshes[index].material_slots)
+            corners = meshes[index].positions[meshes[index].triangles].astype(np.float64)
+            starts, group = np.unique(instances["material_start"][members], return_inverse=True)
+            by_start = np.argsort(group, kind="stable")
+            ends = np.cumsum(np.bincount(group, minlength=len(starts)))
+            for which in np.flatnonzero(emits[np.add.outer(starts, np.unique(slots))].any(axis=1)):
+                users = members[by_start[(ends[which - 1] if which else 0) : ends[which]]]
+                entries = starts[which] + slots
+                chosen = np.flatnonzero(emits[entries] & _has_area(corners))
+                transform = instances["object_to_world"][users]
+                world = np.einsum("nij,tcj->ntci", transform[:, :, :3], corners[chosen])
+                world += transform[:, None, None, :, 3]
+                found.owner.append(np.repeat(users, len(chosen)))
+                found.vertex.append(world.reshape(-1, 3, 3))
+                shining = table[entries[chosen]]
+                found.radiance.append(np.tile(emission.radiance[shining], (len(users), 1)))
+                found.mean.append(np.tile(mean[shining], len(users)))
+                has_map = np.array([emission.maps[index] is not None for index in shining], dtype=bool)
+                numbers = np.where(has_map, map_count + np.cumsum(has_map) - 1, -1)
+                found.emission_map.append(np.tile(numbers, len(users)))
+                emission_maps.append(_emission_maps(meshes[index], chosen[has_map], shining[has_map], emission))
+                map_count += np.count_nonzero(has_map)
+                numbers = np.full(len(slots), -1, dtype=np.int32)
+                numbers[chosen] = np.arange(len(chosen))
+                light_of_triangle.append(numbers)
+                members_of_table.append((users, table_start))
+                table_start += len(slots)
+    owner = np.concatenate(found.owner)
+    in_order = np.argsort(owner, kind="stable")
+    owner, vertex, radiance, mean, emission_map = (np.concatenate(parts)[in_order] for parts in vars(found).values())
+
+    emitters = np.zeros((0, 2), dtype=np.int32)
+    if members_of_table:
+        users = np.concatenate([users for users, _ in members_of_table])
+        tables = np.concatenate([np.full(len(users), start) for users, start in members_of_table])
+        emitter[users] = np.arange(len(users))
+        emitters = np.column_stack([np.searchsorted(owner, users), tables]).astype(np.int32)
+    rows = _triangle_rows(vertex, radiance, mean, instances["visibility"][owner])
+    return rows, {
+        "emitter": emitter,
+        "emitters": emitters,
+        "light_of_triangle": np.concatenate(light_of_triangle),
+        "emission_map": emission_map.astype(np.int32),
+        "emission_maps": np.concatenate(emission_maps),
+    }
+
+
+def _mean_emission(scene: Scene, emission: Emission) -> np.ndarray:
+    """[M] mean of the channels, over the image where there is a map."""
+    color = emission.radiance.copy()
+    for row, texture_map in zip(color, emission.maps):
+        if texture_map is not None and row.any():
+            pixels = linear_pixels(scene.textures[texture_map.texture])
+            row *= pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+    return color.mean(axis=1)
+
+
+def _emission_maps(mesh: Mesh, triangles: np.ndarray, materials: np.ndarray, emission: Emission) -> np.ndarray:
+    """[n, 8], see FlatScene."""
+    rows = np.zeros((len(triangles), 8))
+    layers = np.zeros((0, len(mesh.triangles), 3, 2)) if mesh.uvs is None else np.asarray(mesh.uvs)
+    layers = layers.reshape(-1, len(mesh.triangles), 3, 2)
+    for row, triangle, material in zip(rows, triangles, materials):
+        texture_map = emission.maps[material]
+        uv = np.zeros((3, 2)) if texture_map.uv_layer >= len(layers) else layers[texture_map.uv_layer, triangle]
+        matrix = np.reshape(texture_map.uv_transform, (2, 3))
+        row[:6] = (uv @ matrix[:, :2].T + matrix[:, 2]).ravel()
+        row[6] = texture_map.texture
+    return rows
+
+
+def _has_area(corners: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore", over="ignore"):
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return np.isfinite(normal).all(axis=1) & (normal != 0.0).any(axis=1)
+
+
+def _triangle_rows(vertex: np.ndarray, radiance: np.ndarray, mean: np.ndarray, visibility: np.ndarray) -> _Rows:
+    """vertex: [n, 3, 3]. mean: [n], of the radiance. Triangles that a transform makes too large or small for
+    numbers have no weight."""
+    rows = np.zeros((len(vertex), 24))
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        edge1, edge2 = vertex[:, 1] - vertex[:, 0], vertex[:, 2] - vertex[:, 0]
+        normal = np.cross(edge1, edge2)
+        length = np.linalg.norm(normal, axis=1)
+        weight = mean * (length / 2.0) * np.pi
+        rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = vertex[:, 0], edge1, edge2
+        rows[:, 9:12] = normal / length[:, None]
+        rows[:, 12:15] = radiance
+        rows[:, 17] = length / 2.0
+    solid = (weight > 0.0) & (weight < np.inf)
+    rows[~solid] = 0.0
+    return _Rows(np.full(len(rows), TRIANGLE, dtype=np.int32), rows, visibility, np.where(solid, weight, 0.0))
