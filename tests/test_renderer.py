@@ -60,7 +60,7 @@ def test_same_scene_again_stands_still_and_gets_new_samples(device):
 
 
 def test_static_history_is_the_mean_of_its_frames(device):
-    renderer = Renderer(dataclasses.replace(SMALL, denoise=PLAIN_MEAN), device)
+    renderer = Renderer(dataclasses.replace(SMALL, method="svgf", denoise=PLAIN_MEAN), device)
     scene = scenes.box_scene()
     frames = [renderer.render(scene) for _ in range(8)]
     mean = np.mean([frame.noisy.astype(np.float64) for frame in frames], axis=0)

@@ -49,8 +49,8 @@ class Denoiser:
     """Denoises the frames of one view, one after the other.
 
     width, height: of the images, pixels. device: a name for ``open_device``, or an opened Device. method: "svgf+",
-    ours, "svgf" [Schied17], both of which reuse the frames before, "eaw" [Dammertz10] or "none". settings: see DenoiseSettings; may be set
-    again between frames.
+    ours, "svgf" [Schied17], both of which reuse the frames before, "eaw" [Dammertz10] or "none". settings: see
+    DenoiseSettings; may be set again between frames.
 
     Raises InputError, DeviceError, OutOfMemory.
     """
@@ -105,8 +105,8 @@ class Denoiser:
 
     @property
     def fireflies(self) -> tuple[int, float]:
-        """svgf+: how many samples of the last frame were scaled down to the firefly limit, and the light that was cut from
-        them: luminance over albedo, summed over the pixels. Waits for the device."""
+        """svgf+: how many samples of the last frame were scaled down to the firefly limit, and the light that was cut
+        from them: luminance over albedo, summed over the pixels. Waits for the device."""
         samples, light = self._native.fireflies()
         return int(samples), float(light)
 

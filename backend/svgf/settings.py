@@ -77,20 +77,20 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     specular_history_clamp: float = _setting(
-        0.33, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
+        0.4, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
-        0.7, 1e-3, 1e6,
+        0.45, 1e-3, 1e6,
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
         unit="standard deviations",
     )  # fmt: skip
     firefly_limit: float = _setting(
-        20.0, 1.0, 1e18,
-        "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.",
+        20.0, 1.0, 1e9,
+        "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.",
     )  # fmt: skip
     specular_sharpness: float = _setting(
-        4.0, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
+        3.5, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
     )
     plus_sigma_luminance: float = _setting(
         8.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
@@ -144,8 +144,8 @@ class Settings:
 
     width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
     only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
-    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or "direct_indirect", what is
-    filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
+    method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or
+    "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
     None: the scene's. diffuse_bounces ... filter_glossy: see ``LightPaths``; None: the scene's. transparent_film: the
     world is left out behind the scene; None: the scene's. denoise: DenoiseSettings.

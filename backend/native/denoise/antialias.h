@@ -1,30 +1,32 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "antialias" of svgf+: resolves over time what lies within a pixel, and lets a still view converge to the truth.
 //
-// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it. Where a
-// sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter makes of
-// the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation of the 3x3
-// pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3 surfaces
-// [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show several, and sky.
+// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it.
+// Where a sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter
+// makes of the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation
+// of the 3x3 pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3
+// surfaces [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show
+// several, and sky.
 //
 // Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness: a bright
-// sample does not flicker where it is rare, at any exposure.
+// sample does not flicker where it is rare, at any exposure. What stands still is averaged as it is: no light is lost.
 //
-// What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the best
-// there was; from then on it is one sample of many, and weighs less and less. Light that changes shows in the denoised
-// frame, against which the mean is tested with a wider box, and ends this.
+// What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
+// best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
+// temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 #pragma once
 
 #include "denoise/demodulate.h"
 
 namespace svgf {
 
-// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has room
-// for as many of the noisy mean's own.
+// Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture. That of the still picture has
+// room for as many of the noisy mean's own.
+// One of nine numbers is at most 2.83 of their deviations from their mean, so what stays the same is never clipped.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
 constexpr float still_frames = 24.0f;
-// Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at 4 %
-// more variance than the plain mean has.
+// Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
+// 4 % more variance than the plain mean has.
 constexpr float still_rate = 1.25f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
 constexpr float still_margin = 0.02f;
@@ -68,22 +70,29 @@ struct Antialias {
         const bool still = motion.x == 0.0f && motion.y == 0.0f && own_motion.x == 0.0f && own_motion.y == 0.0f;
         const bool settled = still && history.frames > still_frames - 0.5f;
         const Vec3 past = history.mapped, offset = past - box.mean;
-        float margin = 1e-6f;
+        float margin = 0.0f;
         if (settled) {
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
             margin = still_margin + still_box * deviation / (box.white + max_component(own) + 1e-30f);
         }
-        const Vec3 extent = (settled ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
-        const float excess = max_component(abs(offset) / extent);
-        if (settled && excess <= 1.0f) {
+        const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
+        const float excess = max_component(abs(offset) / max(extent, 1e-30f));
+        const bool light_changed = still && has_changed(pixel);
+        if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
             write(pixel, history.color + (noisy(pixel) - history.color) * (still_rate / frames), frames);
             return;
         }
-        const float kept = settled ? 0.0f : history.frames;  // a still picture whose light changed starts afresh
+        const float kept = settled || light_changed ? 0.0f : history.frames;  // then a still picture starts afresh
         const float frames = still ? kept + 1.0f : min(kept + 1.0f, antialias_frames);
-        const Vec3 clipped = excess > 1.0f ? box.mean + offset / excess : past;
-        write(pixel, box.unmap(clipped + (box.map(own) - clipped) / frames), frames);
+        // Where there is no deviation at all, nothing of what is outside is left.
+        const Vec3 clipped = excess > 1e12f ? box.mean : excess > 1.0f ? box.mean + offset / excess : past;
+        if (still) {
+            const Vec3 before = excess > 1.0f ? box.unmap(clipped) : history.color;
+            write(pixel, before + (own - before) / frames, frames);
+        } else {
+            write(pixel, box.unmap(clipped + (box.map(own) - clipped) / frames), frames);
+        }
     }
 
 private:
@@ -157,6 +166,12 @@ private:
         return color;
     }
 
+    SVGF_HD bool has_changed(int pixel) const {
+        bool changed = false;
+        for (int s = 0; s < Signals; ++s) changed = changed || in_moments[s].has_changed(pixel);
+        return changed;
+    }
+
     // Variance of the noisy frame's luminance, signals taken as independent.
     SVGF_HD float noise(int pixel) const {
         int repaired_before = 0;
@@ -166,7 +181,8 @@ private:
         return variance;
     }
 
-    // n + 1. Counts are kept in 9 bits: above 512 they go up by their spacing, with the odds that make it one on average.
+    // n + 1. Counts are kept in 9 bits: above 512 they go up by their spacing, with the odds that make it one on
+    // average.
     SVGF_HD static float next_count(float n, int pixel, uint32_t salt) {
         if (n < 511.5f) return n + 1.0f;
         const float spacing = n < 1023.5f ? 2.0f : n < 2047.5f ? 4.0f : n < 4095.5f ? 8.0f : 0.0f;

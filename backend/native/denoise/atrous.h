@@ -199,9 +199,8 @@ private:
             SVGF_UNROLL
             for (int s = 0; s < Signals; ++s) {
                 const float difference = tap_light[s] - light[s];
-                const float w =
-                    fast_exp2((Method::squares_luminance ? square(difference) : std::fabs(difference)) * light_scale[s] +
-                              w_log);
+                const float distance = Method::squares_luminance ? square(difference) : std::fabs(difference);
+                const float w = fast_exp2(distance * light_scale[s] + w_log);
                 const Vec4 c = color[s];
                 weight[s] += w;
                 sum[s] = {sum[s].x + w * c.x, sum[s].y + w * c.y, sum[s].z + w * c.z, sum[s].w + w * w * c.w};

@@ -128,9 +128,10 @@ public:
     //   variance    moments0, history_length, guides -> variance0
     //   atrous      color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf)
     //   modulate    color0, variance0 (svgf), the public images -> color, variance
-    //   antialias   unresolved, moments0, the public images, guides, resolved, resolved_frames -> color, resolved_frames
-    // temporal of svgf+: moments are frames, variance and drift, hist_filtered0 the luminance after the filter, variance0 goes with
-    // color0, and signal 1 is the specular one.
+    //   antialias   unresolved, moments0, the public images, guides, resolved, resolved_frames
+    //               -> color, resolved_frames
+    // temporal of svgf+: moments are frames, variance, drift and changed, hist_filtered0 is the luminance after the
+    // filter, variance0 goes with color0, and signal 1 is the specular one.
     HostImages run_stage(const std::string& stage, const HostImages& arrays, int level = 0);
 
     Device& device() { return device_; }

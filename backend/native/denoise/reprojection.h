@@ -4,7 +4,8 @@
 //
 // The depth test continues the plane through the old pixel to the reprojected point and compares it with the expected
 // previous depth (2.5D motion): the depths themselves differ when the camera moves forward or the plane is seen at a
-// grazing angle, and good history would be dropped. Half a pixel of the plane's slope is forgiven, as surfaces are curved.
+// grazing angle, and good history would be dropped. Half a pixel of the plane's slope is forgiven, as surfaces are
+// curved.
 #pragma once
 
 #include "denoise/guides.h"
@@ -68,7 +69,8 @@ struct Reprojection {
         for (int j = 0; j < 2; ++j)
             for (int i = 0; i < 2; ++i) {
                 const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
-                if (share > 0.0f && accepts(left + i, top + j, point)) take(prev_guides.pixel(left + i, top + j), share);
+                if (share > 0.0f && accepts(left + i, top + j, point))
+                    take(prev_guides.pixel(left + i, top + j), share);
             }
     }
 

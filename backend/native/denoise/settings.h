@@ -33,13 +33,13 @@ namespace svgf {
             "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
     SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
-    SETTING(specular_history_clamp, float, 0.33, 0.0, 1e6, "standard deviations", "",                                  \
+    SETTING(specular_history_clamp, float, 0.4, 0.0, 1e6, "standard deviations", "",                                   \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
-    SETTING(change_threshold, float, 0.7, 1e-3, 1e6, "standard deviations", "",                                        \
+    SETTING(change_threshold, float, 0.45, 1e-3, 1e6, "standard deviations", "",                                       \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
-    SETTING(firefly_limit, float, 20.0, 1.0, 1e18, "", "",                                                             \
-            "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e18: nothing.")     \
-    SETTING(specular_sharpness, float, 4.0, 1.0, 1e3, "", "",                                                          \
+    SETTING(firefly_limit, float, 20.0, 1.0, 1e9, "", "",                                                              \
+            "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
+    SETTING(specular_sharpness, float, 3.5, 1.0, 1e3, "", "",                                                          \
             "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this.")                      \
     SETTING(plus_sigma_luminance, float, 8.0, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
             "svgf+: luminance differences that count as noise; larger blurs more.")                                    \

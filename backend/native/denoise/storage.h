@@ -86,7 +86,7 @@ struct FloatStorage {
 };
 
 struct PackedStorage {
-    using MomentsValue = Vec3;
+    using MomentsValue = Vec4;
     struct alignas(16) Guide {
         uint32_t normal;
         float depth;
@@ -169,26 +169,30 @@ struct PackedStorage {
     };
 
     // What svgf+ knows of a signal's history: frames in 12 bits, 9 of precision; deviation of a sample in 12 bits, 6 of
-    // precision; drift in [-4, 4) in 8 bits. Frames and deviation are rounded at random, so that a long mean has no bias:
-    // rounding to nearest would lose the many small steps down and keep the few large ones up.
+    // precision; drift in [-4, 4) in 7 bits; a bit for light that has changed. Frames and deviation are rounded at
+    // random, so that a long mean has no bias: rounding to nearest would lose the many small steps down and keep the
+    // few large ones up.
     struct Moments {
         uint32_t* texels = nullptr;
 
         Moments() = default;
         Moments(void* memory) : texels(static_cast<uint32_t*>(memory)) {}
-        // frames, variance, drift
-        SVGF_HD Vec3 operator[](int pixel) const {
+        // frames, variance, drift, 1 if the light has changed
+        SVGF_HD Vec4 operator[](int pixel) const {
             const uint32_t packed = texels[pixel];
             return {float_from_bits(((packed & 0xfffu) << 15) + (127u << 23)) - 1.0f,
-                    square(decode_positive<5>(packed >> 12 & 0xfffu)), drift(pixel)};
+                    square(decode_positive<5>(packed >> 12 & 0xfffu)), drift(pixel), has_changed(pixel) ? 1.0f : 0.0f};
         }
-        SVGF_HD float drift(int pixel) const { return float(int32_t(texels[pixel]) >> 24) * (1.0f / 32.0f); }
-        SVGF_HD void store(int pixel, Vec3 moments) const {
-            const uint32_t hash = (bits_of(moments.y) ^ uint32_t(pixel) * 0x9e3779b1u) * 0x85ebca6bu;
+        SVGF_HD float drift(int pixel) const { return float(int32_t(texels[pixel]) >> 25) * (1.0f / 16.0f); }
+        SVGF_HD bool has_changed(int pixel) const { return texels[pixel] >> 24 & 1u; }
+        SVGF_HD void store(int pixel, Vec4 moments) const {
+            uint32_t hash = bits_of(moments.y) ^ (bits_of(moments.z) + uint32_t(pixel)) * 0x9e3779b1u;
+            hash = (hash ^ hash >> 15) * 0x85ebca6bu;
+            hash ^= hash >> 13;
             const uint32_t frames = bits_of(min(moments.x, 65000.0f) + 1.0f) + (hash & 0x7fffu) - (127u << 23);
-            const int drift = int(std::floor(clamp(moments.z, -3.9f, 3.9f) * 32.0f + 0.5f));
+            const int drift = int(std::floor(clamp(moments.z, -4.0f, 3.9f) * 16.0f + 0.5f));
             const uint32_t deviation = encode_positive<5>(fast_sqrt(moments.y), float(hash >> 16) * (1.0f / 65536.0f));
-            texels[pixel] = frames >> 15 | deviation << 12 | uint32_t(drift) << 24;
+            texels[pixel] = frames >> 15 | deviation << 12 | (moments.w > 0.5f ? 1u << 24 : 0u) | uint32_t(drift) << 25;
         }
     };
 };

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "temporal" of svgf+: firefly limit, reprojection, running means, and the variance that is left in them.
 //
-// Reads 3x3 pixels of the frame's illumination and what the frame before left: its guides, per signal the mean colour and
-// the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour the variance of the
-// mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage "variance" follows.
+// Reads 3x3 pixels of the frame's illumination and what the frame before left: its guides, per signal the mean colour
+// and the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour the variance
+// of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage "variance"
+// follows.
 //
 // Departures from [Schied17], the gain of each on two 1-spp sequences in svgf bench denoise's ablation table:
 // - The filter is driven by the variance of the mean, that of a sample over N, not of a sample: as history grows the
@@ -12,14 +13,16 @@
 // - Variance is that of 3x3 neighbouring samples on the same surface, averaged over frames, not that of one pixel's
 //   samples over time: nine times the samples, there from the first frame on, and what moves in a mirror is no noise.
 // - History is drawn towards the mean of the 3x3 samples where it is more than `history_clamp` standard deviations away
-//   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from its
-//   surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
-// - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far samples are from
-//   their history, in deviations, and spreads to the four pixels around. Noise averages out of it, a change adds up. Above
-//   `change_threshold` history gives way to the 3x3 samples, at 1.2 times that altogether.
+//   from it, and counts as that much shorter: a lamp switched on, a shadow or a reflection that moves differently from
+//   its surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
+// - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far samples
+//   are from their history, in deviations, and is averaged with eight pixels around every frame. Noise averages out of
+//   it, a change adds up. Above `change_threshold` history gives way to the 3x3 samples, at 1.2 times that altogether.
+//   The threshold rises with the frames that would be lost: a long history is not given up for what chance does once in
+//   as many frames.
 // - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
-//   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright sample
-//   in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
+//   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright
+//   sample in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
 // - Each signal has its own history length: reflections lose theirs while the diffuse light beside them keeps it.
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
@@ -29,8 +32,11 @@
 
 namespace svgf {
 
-// Weight of a frame in the drift.
+// Weight of a frame in the drift, and how far apart the nine pixels are whose drift is averaged.
 constexpr float drift_rate = 0.3f;
+constexpr int drift_spacing = 3;
+// Rise of the threshold whenever history has doubled beyond these frames.
+constexpr float threshold_rise = 0.1f, threshold_frames = 16.0f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
 
@@ -101,7 +107,7 @@ private:
             old.weight += weight;
             const float share = weight / old.weight;
             for (int s = 0; s < Signals; ++s) {
-                const Vec3 moments = hist_moments[s][pixel];
+                const Vec4 moments = hist_moments[s][pixel];
                 const Vec4 color = hist_color[s][pixel];
                 old.color[s] += (color.xyz() - old.color[s]) * share;
                 old.filtered_light[s] += (fast_sqrt(color.w) - old.filtered_light[s]) * share;
@@ -117,18 +123,15 @@ private:
         if (old.weight > 0.0f) read_drift(int(std::floor(point.x + 0.5f)), int(std::floor(point.y + 0.5f)), old);
     }
 
-    // Of a cross of five pixels, whatever they show.
+    // Of nine pixels, whatever they show.
     SVGF_HD void read_drift(int x, int y, Mean& old) const {
         const auto& guides = reprojection.guides;
-        for (int s = 0; s < Signals; ++s) {
-            float sum = 0.0f;
-            for (int tap = 0; tap < 5; ++tap) {
-                const int dx = tap == 1 ? -1 : tap == 2 ? 1 : 0, dy = tap == 3 ? -1 : tap == 4 ? 1 : 0;
-                sum += hist_moments[s].drift(guides.pixel(clamp(x + dx, 0, guides.width - 1),
-                                                             clamp(y + dy, 0, guides.height - 1)));
+        for (int j = -1; j <= 1; ++j)
+            for (int i = -1; i <= 1; ++i) {
+                const int tap = guides.pixel(clamp(x + i * drift_spacing, 0, guides.width - 1),
+                                             clamp(y + j * drift_spacing, 0, guides.height - 1));
+                for (int s = 0; s < Signals; ++s) old.drift[s] += hist_moments[s].drift(tap) * (1.0f / 9.0f);
             }
-            old.drift[s] = 0.2f * sum;
-        }
     }
 
     SVGF_HD void find_neighbours(int x, int y, Vec4 surface, Neighbours& near) const {
@@ -165,7 +168,9 @@ private:
         const float spread = near.count > 0 ? squares / float(near.count) : square(own_light);
 
         // Light that has changed.
-        const float kept_of_change = clamp(6.0f - 5.0f * std::fabs(old.drift[s]) / change_threshold, 0.0f, 1.0f);
+        const float doublings = max(fast_log2(max(old.frames[s], 1.0f) * (1.0f / threshold_frames)), 0.0f);
+        const float threshold = change_threshold * (1.0f + threshold_rise * doublings);
+        const float kept_of_change = clamp(6.0f - 5.0f * std::fabs(old.drift[s]) / threshold, 0.0f, 1.0f);
         Vec3 history = local + (old.color[s] - local) * kept_of_change;
         const float old_frames = old.frames[s] * kept_of_change;
 
@@ -176,8 +181,7 @@ private:
         if (has_history) {
             const float deviation = fast_sqrt(max(variance, old.variance[s]));
             const float residual = (own_light - luminance(history)) / (deviation + 1e-3f * local_light + 1e-30f);
-            drift = old.drift[s] * kept_of_change;
-            drift += (clamp(residual, -4.0f, 4.0f) - drift) * drift_rate;
+            drift = old.drift[s] + (clamp(residual, -4.0f, 4.0f) - old.drift[s]) * drift_rate;
             const float distance = std::fabs(luminance(history) - local_light);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;
             if (distance > allowed) {
@@ -189,7 +193,7 @@ private:
         }
         const Vec3 mean = history + (sample - history) / frames;
         out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance / frames});
-        out_moments[s].store(pixel, {frames, variance, drift});
+        out_moments[s].store(pixel, {frames, variance, drift, kept_of_change < 1.0f ? 1.0f : 0.0f});
         return frames;
     }
 
@@ -210,7 +214,8 @@ private:
         if (!(light > limit)) return color;
         if (counts) {
             count(&out_fireflies->samples, 1ull);
-            count(&out_fireflies->light, static_cast<unsigned long long>(min(light - limit, 1e12f) * float(light_units)));
+            const float cut = min(light - limit, 1e12f) * float(light_units);
+            count(&out_fireflies->light, static_cast<unsigned long long>(cut));
         }
         return color * (limit / light);
     }

@@ -36,8 +36,8 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class Accuracy:
-    """One way to render one scene. method: "none", "eaw", "svgf", "svgf+", or INPUT for the noisy image that svgf was given at one
-    sample. milliseconds: median per frame. Errors: means over the measured frames, as ``svgf.metrics`` defines them."""
+    """One way to render one scene. method: "none", "eaw", "svgf", "svgf+", or INPUT for the noisy image that svgf was
+    given at one sample. milliseconds: median per frame. Errors: means over the measured frames, as ``svgf.metrics`` defines them."""
 
     scene: str
     method: str

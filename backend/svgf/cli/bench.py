@@ -520,10 +520,11 @@ def _print_denoise(costs: list[StageCost], buffers: list[BufferSize], title: str
 
     from ..bench.denoise import ALL
 
-    table = Table("method", "size", "signals")
-    table.add_column("stage", no_wrap=True)
+    table = Table()
+    for heading in ("method", "size", "signals", "stage"):
+        table.add_column(heading, no_wrap=True)
     for heading in ("ms", "B/pixel", "GB/s", "copy, ms"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for cost in costs:
         table.add_row(
             cost.method,
@@ -547,7 +548,7 @@ def _print_denoise(costs: list[StageCost], buffers: list[BufferSize], title: str
             memory.add_row(method, str(signals), row.buffer, f"{row.bytes_per_pixel:.2f}")
         total = sum(row.bytes_per_pixel for row in rows)
         memory.add_row(method, str(signals), "all", f"{total:.2f}", end_section=True)
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=110)  # also in a file or a narrow window: figures are not cut
     console.print(title, markup=False, soft_wrap=True)
     console.print(table)
     console.print(memory)

@@ -28,10 +28,11 @@ class Resolved:
 
 
 def antialias(
-    color: Any, noisy: Any, noise: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
+    color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
 ) -> Resolved:
     """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired;
-    noise [H, W]: the variance of its luminance. depth [H, W]. motion [H, W, 2 or
+    noise [H, W]: the variance of its luminance. changed bool [H, W]: light has just
+    changed. depth [H, W]. motion [H, W, 2 or
     3], None: nothing moved."""
     xp = namespace(color)
     height, width = depth.shape
@@ -81,15 +82,18 @@ def antialias(
     still = known & (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
     settled = still & (frames > STILL_FRAMES - 0.5)
     uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
-    margin = xp.where(settled, STILL_MARGIN + uncertain, 1e-6)[..., None]
-    extent = xp.where(settled[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
-    excess = (xp.abs(past - mean) / extent).max(axis=-1)
-    goes_on = settled & (excess <= 1.0)
-    kept = xp.where(settled & ~goes_on, 0.0, frames)
+    margin = xp.where(settled, STILL_MARGIN + uncertain, 0.0)[..., None]
+    extent = xp.where(still[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
+    excess = (xp.abs(past - mean) / xp.maximum(extent, 1e-30)).max(axis=-1)
+    goes_on = settled & (excess <= 1.0) & ~changed
+    kept = xp.where((settled & ~goes_on) | (still & changed), 0.0, frames)
     clipped = xp.where((excess > 1.0)[..., None], mean + (past - mean) / xp.maximum(excess, 1.0)[..., None], past)
+    clipped = xp.where((excess > 1e12)[..., None], mean, clipped)
     n = xp.where(still, kept + 1.0, xp.minimum(kept + 1.0, settings.antialias_frames))
     n = xp.where(known, n, 1.0)
     resolved = unmap(clipped + (map_(color) - clipped) / n[..., None])
+    before = xp.where((excess > 1.0)[..., None], unmap(clipped), past_linear)
+    resolved = xp.where(still[..., None], before + (color - before) / n[..., None], resolved)
     resolved = xp.where(known[..., None], resolved, color)
     resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) * (STILL_RATE / n[..., None]), resolved)
     return Resolved(resolved, n)

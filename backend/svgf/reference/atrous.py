@@ -73,8 +73,8 @@ BINOMIAL = (1.0 / 2.0, 1.0 / 4.0)
 def atrous_plus(
     color: list[Any], variance: list[Any], guides: Guides, level: int, settings: Any
 ) -> tuple[list[Any], list[Any]]:
-    """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian of the
-    luminance difference for Eq. 5, with the variance prefiltered at the first level alone."""
+    """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian
+    of the luminance difference for Eq. 5, with the variance prefiltered at the first level alone."""
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
     filtered = [prefilter(v, guides) for v in variance] if level == 0 else variance

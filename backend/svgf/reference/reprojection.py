@@ -18,8 +18,8 @@ UNKNOWN_DEPTH_TOLERANCE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Reprojection:
-    """x, y [H, W]: pixels of the frame before, 0 = centre of the first one. expected_depth [H, W]. reachable bool [H, W]:
-    a bilinear tap can lie inside the frame; x and y are 0 elsewhere. repaired: motions that were no numbers."""
+    """x, y [H, W]: pixels of the frame before, 0 = centre of the first one. expected_depth [H, W]. reachable bool
+    [H, W]: a bilinear tap can lie inside the frame; x and y are 0 elsewhere. repaired: motions that were no numbers."""
 
     guides: Guides
     previous: Guides

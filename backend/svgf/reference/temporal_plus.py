@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage "temporal" of svgf+: firefly limit, reprojection, running means and the variance that is left in them. What is done
-otherwise than in [Schied17], and why, stands in native/denoise/temporal_plus.h."""
+"""Stage "temporal" of svgf+: firefly limit, reprojection, running means and the variance that is left in them. What is
+done otherwise than in [Schied17], and why, stands in native/denoise/temporal_plus.h."""
 
 from __future__ import annotations
 
@@ -15,20 +15,27 @@ NEIGHBOUR_SHARE = 0.1
 # Weight of a frame in the drift, and how far it counts one sample, in standard deviations.
 DRIFT_RATE = 0.3
 LARGEST_RESIDUAL = 4.0
+# Spacing of the nine pixels whose drift is averaged.
+DRIFT_SPACING = 3
+# Rise of the threshold whenever history has doubled beyond these frames.
+THRESHOLD_RISE = 0.1
+THRESHOLD_FRAMES = 16.0
 # Of the local brightness: history may be off by this much whatever the variance.
 CLAMP_MARGIN = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class HistoryPlus:
-    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W] of
-    a sample's luminance, the drift [H, W] of samples from history in deviations, and the luminance [H, W] after the filter;
+    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W]
+    of a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
+    where history gave way to a change of light, and the luminance [H, W] after the filter;
     the guides they belong to."""
 
     color: list[Any]
     frames: list[Any]
     variance: list[Any]
     drift: list[Any]
+    changed: list[Any]
     filtered: list[Any]
     guides: Guides
 
@@ -51,8 +58,8 @@ def temporal_plus(
 ) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
     """illumination [H, W, 3], is_specular: per signal. motion: [H, W, 2 or 3], None: nothing moved.
 
-    Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance [H, W] of the mean, as the filter takes it; what the limit cut;
-    and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
+    Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
+    [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
     """
     xp = namespace(guides.depth)
     shape = guides.depth.shape
@@ -71,7 +78,7 @@ def temporal_plus(
 
     near = _neighbours(illumination, guides, settings.normal_tolerance)
     count = sum(same for same, _ in near)
-    colors, frames, variances, new_drifts, spreads = [], [], [], [], []
+    colors, frames, variances, new_drifts, changes, spreads = [], [], [], [], [], []
     fireflies, cut = 0, 0.0
     for s, new in enumerate(illumination):
         # The limit, by what history and the neighbours say.
@@ -96,7 +103,9 @@ def temporal_plus(
         spread = xp.where(count > 0, squares / xp.maximum(count, 1), luminance(sample) ** 2)
 
         # Light that has changed.
-        kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / settings.change_threshold, 0.0, 1.0)
+        doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
+        threshold = settings.change_threshold * (1.0 + THRESHOLD_RISE * doublings)
+        kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
         n = left + 1.0
@@ -104,8 +113,8 @@ def temporal_plus(
         variance = old_variance[s] + (spread - old_variance[s]) / n
         deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
         residual = (luminance(sample) - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
-        drift = drifts[s] * kept_of_change
-        drift = drift + (xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL) - drift) * DRIFT_RATE
+        residual = xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL)
+        drift = drifts[s] + (residual - drifts[s]) * DRIFT_RATE
         # History that is too far from the samples is drawn to them, and counts as shorter.
         sharper = 1.0 / settings.specular_sharpness if is_specular[s] else 1.0
         distance = xp.abs(luminance(changed) - mean_light)
@@ -120,9 +129,11 @@ def temporal_plus(
         colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
         frames.append(xp.where(surface, n, 0.0))
         new_drifts.append(xp.where(surface & found, drift, 0.0))
+        changes.append(surface & found & (kept_of_change < 1.0))
         variances.append(xp.where(surface, variance, 0.0))
         spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
-    return HistoryPlus(colors, frames, variances, new_drifts, none, guides), spreads, Fireflies(fireflies, cut), repaired
+    new = HistoryPlus(colors, frames, variances, new_drifts, changes, none, guides)
+    return new, spreads, Fireflies(fireflies, cut), repaired
 
 
 def _limited(color: Any, limit: Any) -> Any:
@@ -146,12 +157,13 @@ def _neighbours(illumination: list[Any], guides: Guides, normal_tolerance: float
 
 
 def _around(point: Reprojection, image: Any) -> Any:
-    """The mean of a cross of five pixels around the nearest one, whatever they show."""
+    """The mean drift of nine pixels around the nearest one, whatever they show."""
     xp = namespace(image)
     height, width = image.shape
     x, y = xp.floor(point.x + 0.5).astype(int), xp.floor(point.y + 0.5).astype(int)
-    cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-    return sum(image[xp.clip(y + dy, 0, height - 1), xp.clip(x + dx, 0, width - 1)] for dx, dy in cross) / len(cross)
+    steps = (-DRIFT_SPACING, 0, DRIFT_SPACING)
+    taps = [image[xp.clip(y + dy, 0, height - 1), xp.clip(x + dx, 0, width - 1)] for dy in steps for dx in steps]
+    return sum(taps) / len(taps)
 
 
 def _read(point: Reprojection, history: HistoryPlus) -> tuple[Any, tuple[list[Any], ...]]:
