@@ -99,8 +99,11 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
     # Up to 2^-15 is rounded off in frame k, which weighs k / N in the end: 2.3 % if all went one way.
     np.testing.assert_allclose(color, total / frames, rtol=0.5 * frames * 2.0**-15)
     assert color.mean() == pytest.approx(total.mean() / frames, rel=2e-3)
+    # Frames are counted in 9 bits, rounded at random.
+    counted = device.to_numpy(result["history_length"]).astype(float)
+    assert counted.mean() == pytest.approx(frames, rel=0.05)
     # The variance of the mean; that of these samples strays from it by 0.5 %.
-    variance = device.to_numpy(result["variance"]).astype(float) * frames
+    variance = device.to_numpy(result["variance"]).astype(float) * counted
     assert variance.mean() == pytest.approx(0.05 * 0.95 * 19.99**2, rel=0.02)
 
 
