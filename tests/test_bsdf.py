@@ -24,7 +24,24 @@ SMOOTH = [
     *(smooth(material) for material in SINGLE if material.name in ("all", "tinted coat", "refraction", "thin glass")),
 ]  # fmt: skip
 ERROR_RATE = 1e-5  # of each of a few hundred tests
-ANGLES = [0.0, 45.0, 80.0]  # of the viewer, degrees
+SEEN_THROUGH = (MaterialKind.GLASS, MaterialKind.REFRACTION, MaterialKind.TRANSLUCENT)
+# Material, angle of the viewer in degrees, and whether from outside: what nothing passes is the same from inside.
+VIEWS = [
+    pytest.param(material, degrees, outside, id=f"{material.name}_{material.roughness}-{degrees}-{outside}")
+    for material in ROUGH
+    for degrees, outside in ((0.0, True), (45.0, True), (80.0, True), (45.0, False), (80.0, False))
+    if outside or material.transmission > 0.0 or material.kind in SEEN_THROUGH
+]
+
+
+# A known defect: the interface of an IOR below 1 reflects all light beyond the critical angle, but takes from the base
+# only what that of the inverse IOR would, so that such plastic makes light (up to 44 % at IOR 0.7).
+ANY_SURFACE = [
+    pytest.param(material, marks=pytest.mark.xfail(reason="plastic of an IOR below 1 makes light"))
+    if material.name == "light plastic"
+    else material
+    for material in ROUGH + SMOOTH
+]
 
 
 def names(materials) -> list[str]:
@@ -50,9 +67,7 @@ def seen(degrees: float, outside: bool) -> np.ndarray:
     return direction(degrees) if outside else -direction(degrees)
 
 
-@pytest.mark.parametrize("material", ROUGH, ids=names(ROUGH))
-@pytest.mark.parametrize("degrees", ANGLES)
-@on_both_sides
+@pytest.mark.parametrize(("material", "degrees", "outside"), VIEWS)
 def test_directions_follow_their_density(material, degrees, outside):
     count, rows, columns, fine = 40_000, 24, 24, 20
     bsdf = make(material, seen(degrees, outside))
@@ -71,9 +86,7 @@ def test_directions_follow_their_density(material, degrees, outside):
     assert_histogram(np.append(counts, count - found.sum()), np.append(expected, count - expected.sum()), ERROR_RATE)
 
 
-@pytest.mark.parametrize("material", ROUGH, ids=names(ROUGH))
-@pytest.mark.parametrize("degrees", ANGLES)
-@on_both_sides
+@pytest.mark.parametrize(("material", "degrees", "outside"), VIEWS)
 def test_sampling_gives_the_integral(material, degrees, outside):
     """Means of the weights against quadrature of the values, so neither value nor density can be off by a factor."""
     bsdf = make(material, seen(degrees, outside))
@@ -133,7 +146,7 @@ def whitened(material: Material) -> Material:
     )
 
 
-@pytest.mark.parametrize("material", ROUGH + SMOOTH, ids=names(ROUGH + SMOOTH))
+@pytest.mark.parametrize("material", ANY_SURFACE, ids=names(ROUGH + SMOOTH))
 def test_white_surfaces_do_not_make_light(material):
     """Mean over all views, as light between many surfaces comes in. Cycles' layers are exact at none but their own
     entries of the tables."""
@@ -142,12 +155,10 @@ def test_white_surfaces_do_not_make_light(material):
     view = reference.cosine_hemisphere(rng.random((count, 2)))
     sample = reference.sample(make(whitened(material), view), rng.random((count, 2)), rng.random(count))
     total = (sample.diffuse + sample.specular)[:, 0]
-    # Of an IOR below 1 Cycles estimates what the interface takes from the base as of its inverse.
-    most = 1.1 if material.name == "light plastic" else 1.005
-    assert total.mean() <= most + 4 * total.std() / np.sqrt(count)
+    assert total.mean() <= 1.005 + 4 * total.std() / np.sqrt(count)
 
 
-@pytest.mark.parametrize("material", ROUGH + SMOOTH, ids=names(ROUGH + SMOOTH))
+@pytest.mark.parametrize("material", ANY_SURFACE, ids=names(ROUGH + SMOOTH))
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 70.0])
 def test_albedos_are_what_the_lobes_reflect(material, degrees):
     bsdf = make(material, direction(degrees))
@@ -165,7 +176,6 @@ ALBEDO_ERROR = {
     "tinted metal": 0.1,
     "thin glass": 0.12,
     "single scattering": 0.4,
-    "light plastic": 0.1,
     "refraction": 0.3,
     "brushed": 0.1,
     "long glossy": 0.2,

@@ -43,8 +43,9 @@ class LightPaths:
     filter_glossy: float = 0.0
 
     def changes(self, bounces: int) -> bool:
-        """Whether any of it makes a difference to paths of at most so many bounces."""
+        """Whether any of it makes a difference to paths of at most so many bounces. transparent_bounces does not count
+        here: every path through alpha counts them."""
         of_a_kind = min(self.diffuse_bounces, self.glossy_bounces, self.transmission_bounces)
         has_caustics = self.reflective_caustics and self.refractive_caustics
         largest = max(self.clamp_direct, self.clamp_indirect, self.filter_glossy)
-        return of_a_kind < bounces or not has_caustics or largest > 0.0 or self.transparent_bounces < LARGEST_BOUNCES
+        return of_a_kind < bounces or not has_caustics or largest > 0.0

@@ -3,7 +3,8 @@
 
 namespace svgf {
 
-// How far light is followed: svgf.LightPaths. All but `bounces` only counts in kernels for Effects::light_path_limits.
+// How far light is followed: svgf.LightPaths. All but `bounces` and `transparent_bounces` only
+// count in kernels for Effects::light_path_limits.
 struct LightPaths {
     int bounces = 0;  // >= 0; 0 is direct light
     int diffuse_bounces = 1024, glossy_bounces = 1024, transmission_bounces = 1024, transparent_bounces = 1024;
