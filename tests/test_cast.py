@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays that the caller brings, against brute force in float64; and the generated scenes that benchmarks cast them at."""
+"""Rays that the caller brings, against brute force in float64; and the generated scenes that benchmarks cast them
+at."""
 
 import numpy as np
 import pytest
@@ -67,7 +68,8 @@ def test_distances_count_in_lengths_of_the_direction(device):
     )
     above = np.array([0.1, 0.2, 3.0]) - flat.origin
     rays = np.array(
-        [[(*above, 0, 0, -2, low, high) for low, high in ((0, np.inf), (0, 1.4), (1.6, 9), (1.4, 1.6), (0, -1))]], np.float32
+        [[(*above, 0, 0, -2, low, high) for low, high in ((0, np.inf), (0, 1.4), (1.6, 9), (1.4, 1.6), (0, -1))]],
+        np.float32
     )
     hit = [True, False, False, True, False]
     images = cast(device, tracer, rays, False)

@@ -112,7 +112,8 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
 
 @pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
 def test_fast_atrous_is_its_formula(device, level):
-    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5, variance prefiltered at the first level."""
+    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5, variance prefiltered at the first
+    level."""
     images = make_images(np.random.default_rng(5), 1)
     settings = DenoiseSettings()
     color, variance = images["color0"].astype(float), images["variance0"].astype(float)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trees of meshes that deform: refitted they find what a new tree finds, and where that does not pay there is a new one."""
+"""Trees of meshes that deform: refitted they find what a new tree finds, and where that does not pay there is a new
+one."""
 
 import dataclasses
 

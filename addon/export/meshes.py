@@ -241,8 +241,8 @@ def _triangle_corners(data: bpy.types.Mesh, source: _Source) -> np.ndarray:
 
 
 def _split_quads(source: _Source, sizes: np.ndarray) -> np.ndarray:
-    """As Blender splits them, but read in a fraction of the time: along the diagonal from the first corner to the third,
-    unless the other two lie on the same side of it."""
+    """As Blender splits them, but read in a fraction of the time: along the diagonal from the first corner to the
+    third, unless the other two lie on the same side of it."""
     quads = source.face_starts[sizes == 4]
     first, second, third, fourth = (source.positions[source.corner_vertices[quads + corner]] for corner in range(4))
     a, diagonal, b = second - first, third - first, fourth - first

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which passes a view layer asks for: Blender's own switches, and svgf's (view_layer.svgf) for what Blender has none."""
+"""Which passes a view layer asks for: Blender's own switches, and svgf's (view_layer.svgf) for what Blender has
+none."""
 
 from __future__ import annotations
 

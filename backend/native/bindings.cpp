@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The Python module of one device (see CMakeLists.txt). It converts arrays and errors, and nothing else.
 //
-// Images come in as numpy arrays or, on CUDA, as anything on the same GPU that speaks DLPack; they go out as numpy arrays
-// on the CPU and as DeviceImage, which speaks DLPack, on CUDA. The GIL is released while native code works.
+// Images come in as numpy arrays or, on CUDA, as anything on the same GPU that speaks DLPack; they go out as numpy
+// arrays on the CPU and as DeviceImage, which speaks DLPack, on CUDA. The GIL is released while native code works.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>

@@ -135,9 +135,10 @@ class Denoiser:
         stream (device "cuda"): the CUDA stream to work on, as a cupy.cuda.Stream, a torch.cuda.Stream, anything else
         with ``__cuda_stream__``, or the address as an int (1: the legacy default stream). The call returns once the
         frame is queued there; inputs may be results that the stream has yet to compute, and the results may be used on
-        it at once. Memory of results that are dropped serves later frames on the same stream. Without it a stream of the device's own is used, which keeps order
-        with the legacy default one, on which CuPy and PyTorch work unless told otherwise. Either way arrays of other
-        streams are waited for as DLPack says. Frames on different streams come one after the other.
+        it at once. Memory of results that are dropped serves later frames on the same stream. Without it a stream of
+        the device's own is used, which keeps order with the legacy default one, on which CuPy and PyTorch work unless
+        told otherwise. Either way arrays of other streams are waited for as DLPack says. Frames on different streams
+        come one after the other.
 
         Raises InputError naming the image and the remedy, DeviceError, Interrupted; after them history starts afresh.
         """

@@ -52,8 +52,8 @@ class Device:
         return self._module.Mesh(self._device, *arguments, **named)
 
     def refit(self, mesh: Any, positions: np.ndarray, normals: np.ndarray, previous_positions: np.ndarray) -> bool:
-        """Moves the vertices of a mesh of this device that was made with previous positions; its triangles, slots and UVs
-        stay. Returns False where that does not pay: the mesh can then no longer be used."""
+        """Moves the vertices of a mesh of this device that was made with previous positions; its triangles, slots and
+        UVs stay. Returns False where that does not pay: the mesh can then no longer be used."""
         return mesh.refit(self._device, positions, normals, previous_positions)
 
     def texture(self, *arguments: Any, **named: Any) -> Any:
@@ -67,7 +67,8 @@ class Device:
 
     @property
     def kernels(self) -> tuple[Effects, ...]:
-        """What each compiled kernel simulates, from the cheapest on: a frame takes the first that covers its effects."""
+        """What each compiled kernel simulates, from the cheapest on: a frame takes the first that covers its
+        effects."""
         return tuple(Effects(bits) for bits in self._module.kernels())
 
     def kernel_for(self, effects: Effects) -> Effects:

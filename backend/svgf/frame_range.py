@@ -46,7 +46,8 @@ def format_frames(frames: Iterable[int]) -> str:
 
 
 def plan_resume(frames: tuple[int, ...], is_done: Callable[[int], bool]) -> tuple[tuple[int, ...], frozenset[int]]:
-    """Which frames to go through, and which of these to write: the others only fill the history for those after them."""
+    """Which frames to go through, and which of these to write: the others only fill the history for those after
+    them."""
     missing = frozenset(frame for frame in frames if not is_done(frame))
     needed = {
         index for index in range(len(frames)) if missing.intersection(frames[index : index + _WARM_UP_FRAMES + 1])

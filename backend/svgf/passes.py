@@ -13,7 +13,8 @@ from .frame import Frame
 
 @dataclass(frozen=True)
 class Pass:
-    """channels: a letter each, as in EXR files. unit: and what the numbers mean. image: [H, W] or [H, W, C] of a frame."""
+    """channels: a letter each, as in EXR files. unit: and what the numbers mean. image: [H, W] or [H, W, C] of a
+    frame."""
 
     name: str
     channels: str

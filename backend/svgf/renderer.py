@@ -84,8 +84,8 @@ class SceneUploader:
         return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
 
     def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]) -> Any:
-        """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns None if the
-        cache held just that already."""
+        """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns
+        None if the cache held just that already."""
         keys = {id(source) for source in wanted}
         if keys == cache.keys():
             return None
@@ -182,8 +182,8 @@ class Renderer:
 
         scene: history is kept where its frame number follows that of the last call, or where it is the very same scene,
         which then stands still. progress: called with the finished share of the samples, in (0, 1].
-        Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them the next
-        frame starts afresh.
+        Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them
+        the next frame starts afresh.
         """
         self._validator.check(scene)
         settings = self.settings

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions as fast as the device can. On the GPU each is a single instruction; their errors, by the PTX manual: exp2 and
-// 1/sqrt(x) 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 and relative elsewhere, 1/x and sqrt 2^-23 relative.
+// Functions as fast as the device can. On the GPU each is a single instruction; their errors, by the PTX manual: exp2
+// and 1/sqrt(x) 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 and relative elsewhere, 1/x and sqrt 2^-23
+// relative.
 // Denormals count as 0. The host's are correctly rounded or nearly so.
 #pragma once
 

@@ -6,8 +6,8 @@
 
 namespace svgf {
 
-// A record, in as few memory instructions as there are: 16 bytes each. Left to itself the device's compiler reads member
-// by member. On the host, where a copy costs more than what it saves, the record itself.
+// A record, in as few memory instructions as there are: 16 bytes each. Left to itself the device's compiler reads
+// member by member. On the host, where a copy costs more than what it saves, the record itself.
 #if defined(__CUDACC__)
 template <class Record>
 SVGF_HD inline Record load(const Record* record) {

@@ -13,8 +13,8 @@
 //
 // On tiles. The taps of a level with spacing s join only pixels that are multiples of s apart, so a tile is taken from
 // one such lattice (of 1, 2 or 4 neighbouring columns, so that reads of memory stay whole): whatever the spacing, a
-// pixel is read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed distances. A
-// thread filters two pixels, which share half of their taps.
+// pixel is read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed
+// distances. A thread filters two pixels, which share half of their taps.
 #pragma once
 
 #include "denoise/method.h"

@@ -134,9 +134,9 @@ public:
     int index() const { return index_; }
 
     // While it lives, all work and allocation is on the caller's stream; nothing given: on the device's own. Work of
-    // before and after keeps its order, as the streams wait for each other (the host does not). Afterwards the stream is
-    // not touched again, since it may be gone: memory that was allocated on it is kept for it when it is released, as
-    // only the stream itself can tell when what was queued there has been read.
+    // before and after keeps its order, as the streams wait for each other (the host does not). Afterwards the stream
+    // is not touched again, since it may be gone: memory that was allocated on it is kept for it when it is released,
+    // as only the stream itself can tell when what was queued there has been read.
     class StreamScope {
     public:
         StreamScope(Device& device, std::optional<uintptr_t> stream);

@@ -35,9 +35,9 @@ public:
     // Throws InputError if the lengths do not fit together.
     Mesh(Device& device, const Arrays& arrays);
 
-    // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the same
-    // slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is then in
-    // no state to be used, and one must be made anew.
+    // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the
+    // same slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is
+    // then in no state to be used, and one must be made anew.
     bool refit(Device& device, const Arrays& arrays);
 
     const MeshView& view() const { return view_; }

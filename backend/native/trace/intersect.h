@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays against the scene: one traversal of both levels of the tree, for the closest hit and for any hit.
 //
-// All children of a node are tested at once, which gives a mask of those that the ray meets: primitives in its low bits,
-// inner children above them in the order in which the ray visits them, front to back by octant [Ylitie17]. What is
-// left of a node while one of its children is visited is a single entry of the stack.
+// All children of a node are tested at once, which gives a mask of those that the ray meets: primitives in its low
+// bits, inner children above them in the order in which the ray visits them, front to back by octant [Ylitie17]. What
+// is left of a node while one of its children is visited is a single entry of the stack.
 // Boxes are tested with a margin for every rounding on the way, so that the tree never hides what a test of all
 // triangles would find. Of hits at the same distance the one with the lowest instance and triangle counts, in
 // whatever order they are found.
@@ -119,8 +119,9 @@ SVGF_HD inline bool overlap(Vec3 near, float t_min, Vec3 far, float t_max) {
 #endif
 }
 
-// byte_offset plus each byte of a word. On the device by way of halves, of which 1024 + byte is one for each byte: two of
-// them are one permutation, and to float they go through another pipe than comparisons do, of which there are many.
+// byte_offset plus each byte of a word. On the device by way of halves, of which 1024 + byte is one for each byte:
+// two of them are one permutation, and to float they go through another pipe than comparisons do, of which there are
+// many.
 constexpr float byte_offset = 1024.0f;
 struct FourFloats {
     float value[4];
@@ -212,8 +213,8 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
 #endif
 }
 
-// Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers per
-// thread.
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers
+// per thread.
 constexpr int trace_blocks = 7;
 
 // --- Traversal -------------------------------------------------------------------------------------------------------

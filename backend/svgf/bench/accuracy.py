@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What accuracy costs in time: the error that is left, beside the milliseconds that were spent.
 
-Every way to spend them is rendered over the same frames and compared with the same converged images, which are traced with
-another seed, so that nothing is compared with its own noise. Errors are means over the frames from ``first`` on, when a
+Every way to spend them is rendered over the same frames and compared with the same converged images, which are traced
+with another seed, so that nothing is compared with its own noise. Errors are means over the frames from ``first`` on, when a
 temporal mean has had time to settle; the frames before them are rendered all the same. Times are the device's own for a
 whole frame without the host's work on the scene: medians over the measured frames.
 """
@@ -37,7 +37,8 @@ VARIANTS = (
 @dataclass(frozen=True)
 class Accuracy:
     """One way to render one scene. method: "none", "eaw", "svgf", "svgf+", or INPUT for the noisy image that svgf was
-    given at one sample. milliseconds: median per frame. Errors: means over the measured frames, as ``svgf.metrics`` defines them."""
+    given at one sample. milliseconds: median per frame. Errors: means over the measured frames, as ``svgf.metrics``
+    defines them."""
 
     scene: str
     method: str

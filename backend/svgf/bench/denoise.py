@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the denoiser costs: milliseconds, bytes and achieved bandwidth per stage, beside what a plain copy reaches.
 
-The inputs are made up: a floor that recedes, boxes in front of it, sky; half a pixel of motion; 1-spp noise. They lie on
-the device already, so that times are the denoiser's alone. Bytes are those that a stage cannot do without: every image
-that it reads or writes, once. Dividing them by the stage's time gives a bandwidth that no stage can push above the
-copy's, unless the images fit into the cache.
+The inputs are made up: a floor that recedes, boxes in front of it, sky; half a pixel of motion; 1-spp noise. They lie
+on the device already, so that times are the denoiser's alone. Bytes are those that a stage cannot do without: every
+image that it reads or writes, once. Dividing them by the stage's time gives a bandwidth that no stage can push above
+the copy's, unless the images fit into the cache.
 """
 
 from __future__ import annotations

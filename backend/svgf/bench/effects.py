@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each effect costs: the same scene with and without it, and with the kernel that simulates everything.
 
-Times are the device's own, of stages gbuffer and path together at one sample per pixel: medians over launches that take turns, so
-that a change of the clock reaches both sides. Bytes are those of the images that a frame hands to the denoiser.
+Times are the device's own, of stages gbuffer and path together at one sample per pixel: medians over launches that
+take turns, so that a change of the clock reaches both sides. Bytes are those of the images that a frame hands to the
+denoiser.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ FULL_KERNEL = "full kernel"
 
 @dataclass(frozen=True)
 class EffectCost:
-    """what: an effect, or FULL_KERNEL: "on" is then the kernel that simulates everything, "off" the one that the scene takes.
+    """what: an effect, or FULL_KERNEL: "on" is then the kernel that simulates everything, "off" the one that the
+    scene takes.
     milliseconds and bytes per pixel of a frame with it and without."""
 
     scene: str

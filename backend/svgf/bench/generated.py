@@ -16,7 +16,8 @@ DIFFUSE = {"specular_ior_level": 0.0, "ior": 1.0}
 
 def room(resolution: int, frame: int | None = None, size: tuple[int, int] = (1920, 1080)) -> Scene:
     """A closed room with bumpy walls and 24 bumpy balls in it, so that every ray hits and rays pass close by much that
-    they miss. The camera stands in a corner. One mesh of 60 * resolution**2 triangles: 18 makes 19,440, 128 makes 983,040.
+    they miss. The camera stands in a corner. One mesh of 60 * resolution**2 triangles: 18 makes 19,440, 128 makes
+    983,040.
 
     frame: the bumps of the balls move from frame to frame, with the same triangles; None: they stand still.
     """

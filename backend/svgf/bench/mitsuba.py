@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measurements of ``bench.rays`` with Mitsuba 3, where it is installed: on OptiX if there is a GPU, else with Embree.
+"""The measurements of ``bench.rays`` with Mitsuba 3, where it is installed: on OptiX if there is a GPU, else with
+Embree.
 
 Its times are the clock's around an evaluation of results that Dr.Jit has compiled before, launch overhead included.
 """

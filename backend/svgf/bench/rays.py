@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How many rays a device traces per second, and what it costs to get a scene ready for them.
 
-Three kinds of rays, one of each per pixel: "primary" from the camera through a random point of the pixel; "bounce" from where it
-hit, cosine-distributed around the normal, for the closest hit; "shadow" from there to a random point near the ceiling of the
-scene's bounding box, for any hit. Times are the device's own, medians over launches; rays are made, uploaded and read by the kernel
-from memory, hits are written there.
+Three kinds of rays, one of each per pixel: "primary" from the camera through a random point of the pixel; "bounce"
+from where it hit, cosine-distributed around the normal, for the closest hit; "shadow" from there to a random point
+near the ceiling of the scene's bounding box, for any hit. Times are the device's own, medians over launches; rays are
+made, uploaded and read by the kernel from memory, hits are written there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ RAY_OFFSET = 1e-4  # of the extent, by which rays start off a surface
 
 @dataclass(frozen=True)
 class RayTime:
-    """One measurement. what: the kind of ray, of frame or of update. rays: of each launch, 0 where not rays are counted.
+    """One measurement. what: the kind of ray, of frame or of update. rays: of each launch, 0 where not rays are
+    counted.
     milliseconds: median; minimum: the best."""
 
     scene: str
@@ -66,7 +67,8 @@ def measure_rays(device: Device, scene: Scene, name: str, size: tuple[int, int],
 
 
 def ray_sets(device: Device, scene: Scene, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Primary, bounce and shadow rays, [H, W, 8] each as ``Tracer.cast`` takes them, relative to the flat scene's origin."""
+    """Primary, bounce and shadow rays, [H, W, 8] each as ``Tracer.cast`` takes them, relative to the flat scene's
+    origin."""
     flat = flatten(scene)
     tracer = device.tracer()
     SceneUploader(device, tracer).upload(flat)
@@ -226,8 +228,8 @@ def _viewed(scene: Scene, distance: float) -> Scene:
 def measure(
     device: Device, scenes: Sequence[tuple[str, Scene]], size: tuple[int, int], count: int, mitsuba: bool = False
 ) -> list[RayTime]:
-    """Everything: the generated rooms, ``scenes`` (name, scene), the Cornell box, and updates of the rooms. mitsuba: Mitsuba
-    3 on the same rays and box beside it; raises InputError where it is not installed."""
+    """Everything: the generated rooms, ``scenes`` (name, scene), the Cornell box, and updates of the rooms. mitsuba:
+    Mitsuba 3 on the same rays and box beside it; raises InputError where it is not installed."""
     if mitsuba:
         from .mitsuba import measure_box, measure_mesh
     rows = []

@@ -39,8 +39,9 @@ DEFAULT_WINDOW = (-0.36, 0.36, -0.36, 0.36)
 
 
 class Denoiser:
-    """Same methods as the native class. device: keeps the timings, may be None. settings: the fields of DenoiseSettings that differ from the
-    defaults. Images may be numpy or CuPy arrays; results are float64 arrays of the same library.
+    """Same methods as the native class. device: keeps the timings, may be None. settings: the fields of
+    DenoiseSettings that differ from the defaults. Images may be numpy or CuPy arrays; results are float64 arrays of
+    the same library.
 
     history, resolved: what the next frame starts from, None before the first.
     """
@@ -131,7 +132,8 @@ class Denoiser:
         demodulate: the public images -> illumination0, guides.
         temporal: illumination0, guides, motion, and unless there is no history prev_ + guides, hist_color0,
             hist_moments0, hist_length -> color0, moments0, history_length. svgf+: moments are frames,
-            variance, drift and changed, hist_filtered0 the luminance after the filter, variance0 goes with color0; signal 1 is the specular one.
+            variance, drift and changed, hist_filtered0 the luminance after the filter, variance0 goes with color0;
+            signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
         atrous: color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.

@@ -26,8 +26,8 @@ CLAMP_MARGIN = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class HistoryPlus:
-    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H, W]
-    of a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
+    """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H,
+    W] of a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
     where history gave way to a change of light, and the luminance [H, W] after the filter;
     the guides they belong to."""
 
@@ -59,7 +59,8 @@ def temporal_plus(
     """illumination [H, W, 3], is_specular: per signal. motion: [H, W, 2 or 3], None: nothing moved.
 
     Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
-    [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there is no surface, the illumination is the mean of 0 frames.
+    [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there
+    is no surface, the illumination is the mean of 0 frames.
     """
     xp = namespace(guides.depth)
     shape = guides.depth.shape

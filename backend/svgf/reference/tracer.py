@@ -100,8 +100,8 @@ class Tracer:
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
         "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
-        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion" only with
-        an effect that moves something. kernel: of no account here, there is only one.
+        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion"
+        only with an effect that moves something. kernel: of no account here, there is only one.
         """
         camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
             self._camera_rows
