@@ -44,8 +44,8 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 // 24 bits: exact in a float, and below 1.
 SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
 
-// Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. That of the
-// surface's material is far from all others.
+// Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. Those of the
+// surfaces that rays meet are far from all others.
 enum class SamplePair : std::uint32_t {
     pixel = 0,
     direction = 1,
@@ -61,17 +61,30 @@ enum class SamplePair : std::uint32_t {
 struct Sampler {
     std::uint32_t pixel_key, sample;
 
-    SVGF_HD Sampler(int x, int y, int width, std::uint32_t seed, std::uint32_t sample)
-        : pixel_key(mix_bits((std::uint32_t(y) * std::uint32_t(width) + std::uint32_t(x)) ^ mix_bits(seed))),
-          sample(sample) {}
+    // pixel: its number, row by row.
+    SVGF_HD Sampler(int pixel, std::uint32_t seed, std::uint32_t sample)
+        : pixel_key(mix_bits(std::uint32_t(pixel) ^ mix_bits(seed))), sample(sample) {}
 
     SVGF_HD Vec2 pair(SamplePair name, int vertex = 0) const {
-        const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
-        const std::uint32_t key = mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
+        const std::uint32_t key = key_of(name, vertex);
         const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
         const std::uint32_t second = sobol_second_dimension(first);
         return {unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u))),
                 unit_float(owen_scramble(second, mix_bits(key ^ 0x63d83595u)))};
+    }
+
+    // The first number of a pair that each triangle of each instance has for itself, in whatever order a ray meets them.
+    SVGF_HD float at_triangle(SamplePair name, int vertex, std::int32_t instance, std::int32_t triangle) const {
+        const std::uint32_t surface = mix_bits(mix_bits(std::uint32_t(instance)) + std::uint32_t(triangle));
+        const std::uint32_t key = mix_bits(key_of(name, vertex) ^ surface);
+        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        return unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
+    }
+
+private:
+    SVGF_HD std::uint32_t key_of(SamplePair name, int vertex) const {
+        const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
+        return mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
     }
 };
 

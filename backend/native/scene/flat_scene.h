@@ -41,6 +41,14 @@ struct MeshView {
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
 };
 
+// What light passes a triangle straight.
+enum class OpacityClass : std::uint8_t {
+    opaque,   // none
+    clear,    // all
+    cut_out,  // of any colour the same share: find_opacity
+    shaded,   // that which only shading tells, as the surface tints it, is one of several, or shines
+};
+
 // Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
 namespace ray_kind {
 constexpr std::uint32_t camera = 1, diffuse = 2, glossy = 4, transmission = 8, shadow = 16, all = 31;
@@ -92,7 +100,7 @@ struct alignas(16) Material {
     std::int32_t map_start, map_count, tangent_uv_layer;
     float multiscatter;  // 1: with energy compensation; 0: without
     Vec3 light_emission;
-    float unused;
+    std::int32_t alpha_map;  // of material_maps; -1: alpha is a constant
 };
 static_assert(sizeof(Material) == 48 * sizeof(float));
 
@@ -227,6 +235,8 @@ struct SceneView {
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
+    // Of each instance the OpacityClass of its triangles, in leaf order; null: no light passes any of them.
+    const std::uint8_t* const* opacity = nullptr;
     const std::int32_t* material_table = nullptr;
     const Material* materials = nullptr;
     const MaterialMap* material_maps = nullptr;

@@ -9,14 +9,13 @@
 #include "trace/bsdf.h"
 #include "trace/camera.h"
 #include "trace/intersect.h"
+#include "trace/opacity.h"
 #include "trace/surface.h"
 
 namespace svgf {
 
 constexpr float background_depth = 1e10f;
 constexpr float largest_depth_gradient = 1e10f;
-// Numbers of the surfaces on one shadow ray.
-constexpr int shadow_surfaces = 1025;
 // Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
 constexpr float no_motion = 1e6f;
 
@@ -37,23 +36,6 @@ SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler
     ray.t_min *= scale;
     ray.t_max *= scale;
     return ray;
-}
-
-// What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
-// neither.
-template <Effects kernel>
-SVGF_HD float surface_choice(const Sampler& sampler, int vertex) {
-    if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
-        return sampler.pair(SamplePair::surface, vertex).x;
-    return 0.0f;
-}
-
-// The same at surface number i on the shadow ray of a vertex: parts of mixes are chosen for each on its own.
-template <Effects kernel>
-SVGF_HD float shadow_choice(const Sampler& sampler, int vertex, int i) {
-    if constexpr (covers(kernel, Effects::material_mixes))
-        return sampler.pair(SamplePair::shadow, vertex * shadow_surfaces + i).x;
-    return 0.0f;
 }
 
 template <Effects kernel>
@@ -82,23 +64,26 @@ struct GbufferStage {
 
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
-        const Sampler sampler(x, y, camera.width, seed, sample);
+        const Sampler sampler(i, seed, sample);
         const Vec2 point = pixel_point(x, y, sampler, box_filter);
         Ray ray = primary_ray<kernel>(camera, point, sampler);
-        Hit hit = find_closest_hit(scene, ray);
+        int allowed = max(transparent_bounces, 1);
+        Hit hit = find_path_hit<kernel>(scene, ray, sampler, 0, allowed);
         out_hit[i] = hit;
         if (!hit.found()) return write_background(i, ray.direction);
         const Vec3 view = -ray.direction;
-        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
+        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0, hit));
         Vec3 tint{1, 1, 1};
         if constexpr (covers(kernel, Effects::alpha)) {
             // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
-            for (int vertex = 1; max_component(surface.straight) > 0.0f && vertex <= max(transparent_bounces, 1); ++vertex) {
+            allowed -= hit.passed;
+            for (int vertex = 1; max_component(surface.straight) > 0.0f && allowed > 0; ++vertex) {
                 tint *= surface.straight;
                 ray.t_min = hit.t;
-                hit = find_closest_hit(scene, ray);
+                hit = find_path_hit<kernel>(scene, ray, sampler, vertex, --allowed);
                 if (!hit.found()) return write_background(i, ray.direction);
-                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex));
+                allowed -= hit.passed;
+                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex, hit));
             }
         }
         const Bsdf<kernel> bsdf(scene, surface, view);

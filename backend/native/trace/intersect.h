@@ -27,12 +27,14 @@ struct Ray {
     std::uint32_t kind = ray_kind::all;  // sees the instances that have one of its bits
 };
 
-struct Hit {
+struct alignas(16) Hit {
     float t = infinity;
     float weight1 = 0, weight2 = 0;   // barycentric, of vertices 1 and 2
     std::int32_t instance = -1;       // -1: nothing was hit
     std::int32_t triangle = -1;       // of the mesh as it was given
     std::int32_t leaf_triangle = -1;  // the same in leaf order, where its data lie
+    std::int32_t passed = 0;          // surfaces on the way that the ray passed
+    std::int32_t unused = 0;
 
     SVGF_HD bool found() const { return instance >= 0; }
 };
@@ -82,6 +84,27 @@ SVGF_HD inline bool intersect_triangle(const TriangleRay& ray, const LeafTriangl
     weight2 = w * inverse;
     t = (u * dot(ray.z, a) + v * dot(ray.z, b) + w * dot(ray.z, c)) * inverse;
     return true;
+}
+
+// Whether a hit counts for this triangle where surfaces are counted: of the triangles that share an edge or a vertex, a
+// ray through it counts for one, by the rule of rasterization (an edge belongs to the triangle on its left).
+SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangle, float weight1, float weight2) {
+    constexpr float rounding = 1e-6f;
+    if (min(min(weight1, weight2), 1.0f - (weight1 + weight2)) > rounding) return true;
+    const Vec3 corner[3] = {triangle.vertex0 - ray.origin, triangle.vertex1 - ray.origin, triangle.vertex2 - ray.origin};
+    Vec2 p[3];
+    for (int k = 0; k < 3; ++k) p[k] = {dot(ray.x, corner[k]), dot(ray.y, corner[k])};
+    bool owned = true;
+    for (int k = 0; k < 3; ++k) {
+        const Vec2 from = p[k], to = p[(k + 1) % 3], other = p[(k + 2) % 3];
+        if (difference_of_products(from.x, to.y, to.x, from.y) != 0.0f) continue;
+        // On this edge. The ray is the origin; the triangle's inside is where the other corner is.
+        const bool is_left = difference_of_products(to.x - from.x, other.y - from.y, other.x - from.x,
+                                                    to.y - from.y) > 0.0f;
+        const float dx = is_left ? to.x - from.x : from.x - to.x, dy = is_left ? to.y - from.y : from.y - to.y;
+        owned &= dy > 0.0f || (dy == 0.0f && dx > 0.0f);
+    }
+    return owned;
 }
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
@@ -232,10 +255,16 @@ SVGF_HD inline bool is_lonely() {
 #endif
 }
 
+// For rays that every surface stops.
+struct NothingPasses {
+    SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
+};
+
 // Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
-// becomes the closest one.
-template <bool any_hit>
-SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
+// becomes the closest one. passes(triangle_ray, triangle, hit) is asked about every hit that would count, in any order,
+// and says whether the ray goes on as if it were not there.
+template <bool any_hit, class Passes>
+SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     // Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low
     // bits, or primitives.
     struct Group {
@@ -245,7 +274,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
     };
     constexpr Group root{0, 1u << 31};
     constexpr Group only_instance{0, 1u};
-        Group stack[stack_entries];
+    Group stack[stack_entries];
     int stack_size = 0;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
@@ -302,13 +331,16 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
+            const Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
+            if constexpr (!any_hit) {
+                const bool closer = t < t_max || instance < hit.instance ||
+                                    (instance == hit.instance && found.triangle < hit.triangle);
+                if (!closer) continue;
+            }
+            if (passes(triangle_ray, triangle, found)) continue;
             if constexpr (any_hit) return true;
-            const std::int32_t index = triangle.index;
-            const bool closer = t < t_max || instance < hit.instance ||
-                                (instance == hit.instance && index < hit.triangle);
-            if (!closer) continue;
             t_max = t;
-            hit = {t, weight1, weight2, instance, index, std::int32_t(i)};
+            hit = found;
         }
         if (group.has_nodes()) continue;
         if (stack_size == 0) break;
@@ -324,13 +356,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
-    traverse<false>(scene, ray, hit);
+    traverse<false>(scene, ray, hit, NothingPasses{});
     return hit;
 }
 
 SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
     Hit unused;
-    return traverse<true>(scene, ray, unused);
+    return traverse<true>(scene, ray, unused, NothingPasses{});
 }
 
 }  // namespace svgf

@@ -15,6 +15,7 @@
 #include "trace/intersect.h"
 #include "trace/light_paths.h"
 #include "trace/lights.h"
+#include "trace/opacity.h"
 #include "trace/surface.h"
 
 namespace svgf {
@@ -62,16 +63,23 @@ struct PathVertices {
     bool splits_direct;  // signals: direct and indirect, else diffuse and specular
     bool two_signals;    // else the first one gets all
 
+    // Where the ray of a path ends.
+    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
+        return find_path_hit<kernel>(scene, ray, sampler, vertex,
+                                     max(limits.transparent_bounces, 1) - transparent_bounces);
+    }
+
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow) const {
         Ray& ray = path.ray;
+        path.transparent_bounces += hit.passed;
         if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
         if (!hit.found()) {
             add_world(path, light);
             return false;
         }
-        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
+        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
         if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
@@ -109,14 +117,8 @@ struct PathVertices {
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
-        Vec3 arriving = shadow.light;
-        if constexpr (has_alpha) {
-            arriving *= transmittance(sampler, vertex, shadow);
-            if (!(max_component(arriving) > 0.0f)) return;
-        } else if (is_occluded(scene, shadow.ray)) {
-            return;
-        }
-        add(light, arriving, shadow.diffuse_share, shadow.bounces);
+        const Vec3 share = find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces);
+        if (max_component(share) > 0.0f) add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces);
     }
 
 private:
@@ -127,7 +129,7 @@ private:
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
         path.pdf = next.weight.pdf;
         path.delta = next.delta;
-            path.ends = ++path.bounces > limits.bounces;
+        path.ends = ++path.bounces > limits.bounces;
         if constexpr (has_limits) {
             if (!next.delta) path.smallest_pdf = min(path.smallest_pdf, next.weight.pdf);
             if (next.event == BsdfEvent::diffuse)
@@ -269,22 +271,6 @@ private:
         shadow.bounces = path.bounces + 1;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
     }
-
-    // What is left of light that goes straight on to the end of a shadow ray.
-    SVGF_HD Vec3 transmittance(const Sampler& sampler, int vertex, const ShadowRay& shadow) const {
-        Ray ray = shadow.ray;
-        const Vec3 view = -normalize(ray.direction);
-        Vec3 left{1, 1, 1};
-        for (int i = 0; i <= shadow.surfaces; ++i) {
-            const Hit hit = find_closest_hit(scene, ray);
-            if (!hit.found()) return left;
-            if (i == shadow.surfaces) break;
-            left *= find_transmittance<kernel>(scene, hit, view, shadow_choice<kernel>(sampler, vertex, i));
-            if (!(max_component(left) > 0.0f)) break;
-            ray.t_min = hit.t;
-        }
-        return {};
-    }
 };
 
 // Images of a frame, to which samples are added.
@@ -321,13 +307,15 @@ struct PathStage {
     RadianceImages out;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
         Gathered light;
         for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(vertices.scene, path.ray);
+            const Hit hit = vertex == 0 && in_hit
+                                ? in_hit[pixel]
+                                : vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
             if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);

@@ -114,6 +114,7 @@ Material material_from(const float* row) {
     material.map_start = std::int32_t(row[40]);
     material.map_count = std::int32_t(row[41]);
     material.tangent_uv_layer = std::int32_t(row[42]);
+    material.alpha_map = -1;
     return material;
 }
 
@@ -229,7 +230,15 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     std::vector<MeshView> views;
     for (const auto& mesh : meshes) views.push_back(mesh->view());
     const std::vector<std::int32_t> order(bvh.primitives.begin(), bvh.primitives.end());
-    meshes_ = std::move(meshes);
+    const auto keep = [this]<class Rows>(Rows& kept, const auto& rows) {
+        if (std::equal(kept.begin(), kept.end(), rows.begin(), rows.end())) return;
+        kept = Rows(rows.begin(), rows.end());
+        knows_opacity_ = false;
+    };
+    keep(meshes_, meshes);
+    keep(instance_mesh_, arrays.mesh);
+    keep(material_start_, arrays.material_start);
+    keep(material_table_rows_, arrays.material_table);
     nodes_ = Buffer<WideNode>(device_, std::span<const WideNode>(bvh.nodes), "the scene's tree");
     instance_order_ = Buffer<std::int32_t>(device_, std::span<const std::int32_t>(order), "the scene's tree");
     instances_ = Buffer<Instance>(device_, std::span<const Instance>(instances), "instances");
@@ -258,6 +267,9 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
                "A material names a texture that is not there.");
     }
     check_materials(rows, maps.size());
+    for (Material& material : rows)
+        for (std::int32_t i = material.map_start; i < material.map_start + material.map_count; ++i)
+            if (maps[std::size_t(i)].input == MaterialInput::alpha) material.alpha_map = i;
     std::vector<TextureView> views;
     for (const auto& texture : textures) views.push_back(texture->view());
     textures_ = std::move(textures);
@@ -267,6 +279,9 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
     scene_.materials = materials_.data();
     scene_.material_maps = material_maps_.data();
     scene_.textures = texture_views_.data();
+    material_rows_ = std::move(rows);
+    material_map_rows_ = std::move(maps);
+    knows_opacity_ = false;
 }
 
 void Tracer::set_albedo_tables(std::span<const float> tables) {
@@ -384,6 +399,13 @@ void Tracer::set_camera(const Cameras& arrays) {
 
 std::span<const Effects> Tracer::kernels() { return kernel_effects; }
 
+void Tracer::find_opacity() {
+    opacity_.find(device_, {meshes_, instance_mesh_, material_start_, material_table_rows_, material_rows_,
+                            material_map_rows_, textures_}, scene_);
+    scene_.opacity = opacity_.view();
+    knows_opacity_ = true;
+}
+
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
@@ -396,6 +418,7 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
     expect(scene_.albedo_tables, "There are no tables of albedos yet.");
+    if (!knows_opacity_) find_opacity();
     return with_kernel(Effects(frame.effects) | Effects(frame.kernel),
                        [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
@@ -463,7 +486,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_alpha = frame.transparent_film ? floats("alpha", 1) : nullptr,
     };
     // With a lens each sample has a ray of its own even through the middle of the pixel.
-    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;
+    // So has each where chance decides what it passes.
+    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f && !covers(kernel, Effects::alpha);
     if constexpr (Device::follows_paths_together) {
         trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
     } else {
@@ -489,9 +513,9 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
                              const Hit* first_hits, RadianceImages out) {
     const int width = frame.width, height = frame.height, pixels = width * height;
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
-    // The last ray of a path only looks for light; what lets it straight through is a vertex, too.
-    const bool has_alpha = covers(Effects(frame.effects), Effects::alpha);
-    const int vertex_count = frame.light_paths.bounces + 2 + (has_alpha ? frame.light_paths.transparent_bounces + 1 : 0);
+    // The last ray of a path only looks for light. A surface that lets it straight through may be a vertex, too.
+    const int vertex_count = frame.light_paths.bounces + 2 +
+                             (opacity_.has_shaded() ? frame.light_paths.transparent_bounces + 1 : 0);
     Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
     Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
     Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
@@ -511,24 +535,24 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
         counts.clear();
         if (i > 0 && !same_rays) {
             device_.launch("path extend", width, height,
-                           FirstExtendStage<kernel>{scene_, camera_, sample, frame.seed, box_filter, hits.data()});
+                           FirstExtendStage<kernel>{vertices, camera_, sample, frame.seed, box_filter, hits.data()});
             first_hits = hits.data();
         }
         device_.launch("path shade", width, height,
                        FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
                                                path_queue(1), shadow_queue(0)});
         device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
-                             ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, 0,
-                                                 shadow_queue(0).pixels});
+                             ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0, shadow_queue(0).pixels});
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
             const PixelQueue queue = path_queue(vertex);
-            device_.launch_queue("path extend", pixels, queue.count, ExtendStage{scene_, memory, queue.pixels});
+            device_.launch_queue("path extend", pixels, queue.count,
+                                 ExtendStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels});
             device_.launch_queue("path shade", pixels, queue.count,
-                                 ShadeStage<kernel>{vertices, memory, width, sample, frame.seed, vertex, queue.pixels,
+                                 ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
                                                     path_queue(vertex + 1), shadow_queue(vertex)});
             if (vertex + 1 < vertex_count)
                 device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
-                                     ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, vertex,
+                                     ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
                                                          shadow_queue(vertex).pixels});
             // Many vertices are rarely used up, and a launch for nothing costs time, too.
             if (vertex % 16 == 0) {

@@ -50,6 +50,7 @@ struct alignas(16) PathRecord {
           kind_and_flags(path.ray.kind | (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)), unused(0) {}
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
+    SVGF_HD int transparent_bounces() const { return int(bounces >> 16); }
     SVGF_HD Path path() const {
         Path path;
         path.ray = ray();
@@ -59,7 +60,7 @@ struct alignas(16) PathRecord {
         path.pdf = pdf;
         path.smallest_pdf = smallest_pdf;
         path.bounces = int(bounces & 0xffffu);
-        path.transparent_bounces = int(bounces >> 16);
+        path.transparent_bounces = transparent_bounces();
         path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
@@ -115,16 +116,21 @@ struct PathMemory {
     Hit* hits;
 };
 
+template <Effects kernel>
 struct ExtendStage {
     static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
 
-    SceneView scene;
+    PathVertices<kernel> vertices;
     PathMemory memory;
+    std::uint32_t sample, seed;
+    int vertex;  // at which the rays end
     const std::int32_t* in_pixels;
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        memory.hits[pixel] = find_closest_hit(scene, memory.paths[pixel].ray());
+        const PathRecord& path = memory.paths[pixel];
+        const Sampler sampler(pixel, seed, sample);
+        store(memory.hits + pixel, vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces()));
     }
 };
 
@@ -133,16 +139,17 @@ template <Effects kernel>
 struct FirstExtendStage {
     static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
 
-    SceneView scene;
+    PathVertices<kernel> vertices;
     Camera camera;
     std::uint32_t sample, seed;
     bool box_filter;
     Hit* out_hit;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
-        out_hit[y * camera.width + x] = find_closest_hit(
-            scene, primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler));
+        const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
+        const Ray ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        store(out_hit + pixel, vertices.find_hit(sampler, 0, ray, 0));
     }
 };
 
@@ -168,7 +175,6 @@ struct ShadeStage {
 
     PathVertices<kernel> vertices;
     PathMemory memory;
-    int width;
     std::uint32_t sample, seed;
     int vertex;  // not 0
     const std::int32_t* in_pixels;
@@ -176,10 +182,10 @@ struct ShadeStage {
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        const Sampler sampler(pixel, seed, sample);
         Path path = load(memory.paths + pixel).path();
         Gathered light = load(memory.gathered + pixel).gathered();
-        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, light, out_paths, out_shadows);
+        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, light, out_paths, out_shadows);
     }
 };
 
@@ -197,12 +203,12 @@ struct FirstShadeStage {
     PixelQueue out_paths, out_shadows;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
         Gathered light;
-        shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, light, out_paths, out_shadows);
+        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out_paths, out_shadows);
     }
 };
 
@@ -212,14 +218,13 @@ struct ShadowStage {
 
     PathVertices<kernel> vertices;
     PathMemory memory;
-    int width;
     std::uint32_t sample, seed;
     int vertex;  // from which the rays start
     const std::int32_t* in_pixels;
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        const Sampler sampler(pixel, seed, sample);
         Gathered light = load(memory.gathered + pixel).gathered();
         vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
         store(memory.gathered + pixel, GatheredRecord(light));

@@ -15,7 +15,8 @@ from .gbuffer import PrimaryRays, trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
 from .path import Signals, trace_paths
-from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair, surface_pair
+from .opacity import find_path_hits
+from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -126,14 +127,16 @@ class Tracer:
                 # rays count in metres.
                 length = np.sqrt((direction**2).sum(axis=1))
                 direction, near, far = direction / length[:, None], clip[0] * length, clip[1] * length
-                hits = self._shapes.closest(origin, direction, near, far, np.full(len(far), int(RayVisibility.CAMERA)))
+                kind = np.full(len(far), int(RayVisibility.CAMERA))
+                allowed = np.full(len(far), max(limits.transparent_bounces, 1))
+                hits, passed = find_path_hits(scene, keys, number, 0, origin, direction, near, far, kind, allowed)
                 if not images:
-                    primary = PrimaryRays(
-                        point, origin, direction, far, lambda vertex: random_pair(keys, surface_pair(vertex), number)
+                    primary = PrimaryRays(point, origin, direction, far, keys, number)
+                    images = trace_gbuffer(
+                        scene, camera, previous_camera, primary, hits, passed, limits.transparent_bounces
                     )
-                    images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
+                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits, passed)
         if not Effects(effects) & Effects.SPECULAR:
             del images["specular_albedo"]
         if not Effects(effects) & MOTION_EFFECTS:
