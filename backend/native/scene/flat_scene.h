@@ -65,6 +65,12 @@ struct alignas(16) Instance {
 };
 static_assert(sizeof(Instance) == 64);
 
+// A part of an instance: nodes or primitives of its mesh's tree, as a group of trace/intersect.h names them.
+struct TopLeaf {
+    std::int32_t instance;
+    std::uint32_t first, bits;
+};
+
 struct Placement {  // 96 bytes, read once per hit
     Mat34 object_to_world, previous_object_to_world;
 };
@@ -230,8 +236,8 @@ struct WorldView {
 
 struct SceneView {
     const WideNode* nodes = nullptr;               // top level
-    const std::int32_t* instance_order = nullptr;  // instance of each of its leaves
-    bool has_one_instance = false;                 // rays then start in it
+    const TopLeaf* top_leaves = nullptr;  // its primitives
+    bool has_one_leaf = false;            // rays then start in it
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
@@ -242,6 +248,8 @@ struct SceneView {
     const MaterialMap* material_maps = nullptr;
     const TextureView* textures = nullptr;
     const float* albedo_tables = nullptr;  // of trace/microfacet.h
+    // Surfaces neither shine nor are OpacityClass::shaded: what the last ray of a path hits adds nothing.
+    bool last_hits_are_dark = false;
     LightsView lights;
     WorldView world;
 };

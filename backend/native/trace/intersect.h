@@ -273,7 +273,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
         SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
     };
     constexpr Group root{0, 1u << 31};
-    constexpr Group only_instance{0, 1u};
+    constexpr Group only_leaf{0, 1u};
     Group stack[stack_entries];
     int stack_size = 0;
     int instance_floor = 0;      // stack size at which the current instance is done
@@ -283,7 +283,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     BoxRay box_ray(ray.origin, ray.direction);
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
-    Group group = scene.has_one_instance ? only_instance : root;
+    Group group = scene.has_one_leaf ? only_leaf : root;
     for (;;) {
         Group primitives;
         if (group.has_nodes()) {
@@ -305,13 +305,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
             const std::uint32_t i = primitives.first + std::uint32_t(lowest_set_bit(primitives.bits));
             primitives.bits &= primitives.bits - 1;
             if (instance < 0) {
-                const std::int32_t next = scene.instance_order[i];
-                const Instance& placed = load(scene.instances + next);
+                const TopLeaf leaf = scene.top_leaves[i];
+                const Instance& placed = load(scene.instances + leaf.instance);
                 if ((placed.visibility & ray.kind) == 0) continue;
                 if (group.has_nodes()) stack[stack_size++] = group;
                 if (primitives.bits) stack[stack_size++] = primitives;
                 instance_floor = stack_size;
-                instance = next;
+                instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
                 const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
@@ -319,7 +319,8 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 triangles = mesh.triangles;
                 box_ray = BoxRay(origin, direction);
                 triangle_ray = TriangleRay(origin, direction);
-                group = root;
+                group = {leaf.first, leaf.bits};
+                if (!group.has_nodes()) stack[stack_size++] = group;
                 break;
             }
             if (group.has_nodes() && is_lonely()) {

@@ -62,8 +62,8 @@ struct PathPasses {
 // The hit with the number of surfaces before it that the ray passed. Of more than `allowed`, the last one of them and
 // one more stops the ray.
 template <Effects kernel>
-SVGF_HD SVGF_NOINLINE Hit count_passed(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex,
-                                       int allowed, Hit hit) {
+SVGF_HD SVGF_NOINLINE Hit count_passed(const SceneView& scene, Ray ray, Sampler sampler, int vertex, int allowed,
+                                       Hit hit) {
     Ray before = ray;
     before.t_max = min(ray.t_max, hit.t);
     PathPasses<kernel> passes{scene, sampler, vertex};
@@ -90,6 +90,27 @@ SVGF_HD Hit find_path_hit(const SceneView& scene, const Ray& ray, const Sampler&
     return passes.passed == 0 ? hit : count_passed<kernel>(scene, ray, sampler, vertex, allowed, hit);
 }
 
+// Whether anything stops a path's ray: a hit of which no more is known than that it was found.
+template <Effects kernel>
+SVGF_HD Hit find_any_path_hit(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex, int allowed) {
+    Hit hit;
+    PathPasses<kernel> passes{scene, sampler, vertex};
+    bool found;
+    if constexpr (covers(kernel, Effects::alpha))
+        found = traverse<true>(scene, ray, hit, passes) || passes.passed > allowed;
+    else
+        found = is_occluded(scene, ray);
+    hit.passed = passes.passed;
+    if (found) hit = {.t = ray.t_min, .instance = 0};
+    return hit;
+}
+
+// See find_transmittance.
+template <Effects kernel>
+SVGF_HD SVGF_NOINLINE Vec3 find_shaded_transmittance(const SceneView& scene, Hit hit, Vec3 view, float choice) {
+    return find_transmittance<kernel>(scene, hit, view, choice);
+}
+
 // What a shadow ray passes, and what is left of its light.
 template <Effects kernel>
 struct ShadowPasses {
@@ -113,7 +134,7 @@ struct ShadowPasses {
             share = {passing, passing, passing};
         } else {
             const float choice = sampler.at_triangle(SamplePair::shadow, vertex, hit.instance, hit.triangle);
-            share = find_transmittance<kernel>(scene, hit, view, choice);
+            share = find_shaded_transmittance<kernel>(scene, hit, view, choice);
         }
         left[0] *= share.x;
         left[1] *= share.y;

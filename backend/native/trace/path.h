@@ -63,10 +63,12 @@ struct PathVertices {
     bool splits_direct;  // signals: direct and indirect, else diffuse and specular
     bool two_signals;    // else the first one gets all
 
-    // Where the ray of a path ends.
-    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
-        return find_path_hit<kernel>(scene, ray, sampler, vertex,
-                                     max(limits.transparent_bounces, 1) - transparent_bounces);
+    // Where the ray of a path ends. ends: it only looks for light, see Path.
+    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces, bool ends) const {
+        const int allowed = max(limits.transparent_bounces, 1) - transparent_bounces;
+        if (ends && scene.last_hits_are_dark && !crosses_finite_lamp(ray))
+            return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
+        return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
     }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
@@ -79,6 +81,7 @@ struct PathVertices {
             add_world(path, light);
             return false;
         }
+        if (path.ends && scene.last_hits_are_dark) return false;
         Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
         if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
@@ -218,6 +221,19 @@ private:
         }
     }
 
+    SVGF_HD bool crosses_finite_lamp(const Ray& ray) const {
+        if (!(scene.lights.sized_lamps_seen_by & ray.kind)) return false;
+        Vec3 radiance;
+        float pdf;
+        for (int i = 0; i < scene.lights.lamp_count; ++i) {
+            const Light& lamp = scene.lights.rows[i];
+            if ((lamp.visibility & ray.kind) && cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, largest_float,
+                                                           radiance, pdf))
+                return true;
+        }
+        return false;
+    }
+
     SVGF_HD void add_world(const Path& path, Gathered& light) const {
         if (transparent_film && path.bounces == 0) {
             light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
@@ -315,7 +331,7 @@ struct PathStage {
         for (int vertex = 0;; ++vertex) {
             const Hit hit = vertex == 0 && in_hit
                                 ? in_hit[pixel]
-                                : vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
+                                : vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces, path.ends);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
             if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);

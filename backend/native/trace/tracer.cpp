@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "device/threads.h"
-#include "scene/bvh.h"
+#include "scene/top_level.h"
 #include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
@@ -25,6 +25,7 @@ constexpr Effects rare_effects =
 constexpr Effects kernel_effects[] = {
     without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
     without(Effects::all, rare_effects | Effects::transmission),
+    without(Effects::all, without(rare_effects, Effects::alpha) | Effects::transmission),
     without(Effects::all, rare_effects),
     Effects::all,
 };
@@ -58,14 +59,6 @@ Mat34 matrix_at(std::span<const float> values, std::size_t i) {
     return matrix;
 }
 
-Mat34 absolute(const Mat34& m) {
-    Mat34 result;
-    for (int row = 0; row < 3; ++row)
-        result.row[row] = {std::fabs(m.row[row].x), std::fabs(m.row[row].y), std::fabs(m.row[row].z),
-                           std::fabs(m.row[row].w)};
-    return result;
-}
-
 // The transforms of a mesh whose vertices are relative to `centre`; in double, because the terms may cancel.
 Mat34 with_centre(const Mat34& object_to_world, Vec3 centre) {
     Mat34 result = object_to_world;
@@ -81,21 +74,6 @@ Mat34 inverse_of(const Mat34& object_to_world, const Mat34& world_to_object) {
     Mat34 result = world_to_object;
     for (Vec4& row : result.row) row.w = float(-(double(row.x) * t.x + double(row.y) * t.y + double(row.z) * t.z));
     return result;
-}
-
-// Box of an instance in the world, with room for the roundings of both matrices: a ray finds the mesh where its
-// world_to_object puts it. Empty if anything is not finite.
-Bounds instance_bounds(const Bounds& mesh, const Mat34& object_to_world, const Mat34& world_to_object) {
-    constexpr float rounding = 8.0f / 16777216.0f;
-    if (mesh.is_empty()) return {};
-    const Mat34 to_world = absolute(object_to_world), to_object = absolute(world_to_object);
-    const Vec3 centre = transform_point(object_to_world, (mesh.low + mesh.high) * 0.5f);
-    const Vec3 half = transform_vector(to_world, (mesh.high - mesh.low) * 0.5f);
-    const Vec3 world_size = transform_point(to_world, max(abs(mesh.low), abs(mesh.high)));
-    const Vec3 object_size = transform_point(to_object, world_size);
-    const Vec3 margin = (world_size + transform_vector(to_world, object_size)) * rounding;
-    const Bounds box{centre - half - margin, centre + half + margin};
-    return is_finite(box.low) && is_finite(box.high) ? box : Bounds{};
 }
 
 Vec3 cleaned_color(Vec3 c) {
@@ -196,7 +174,6 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
 
     std::vector<Instance> instances(count);
     std::vector<Placement> placements(count);
-    std::vector<Bounds> boxes(count);
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
             expect(arrays.mesh[i] >= 0 && std::size_t(arrays.mesh[i]) < meshes.size(),
@@ -211,7 +188,6 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
             instances[i] = {inverse_of(placements[i].object_to_world, matrix_at(arrays.world_to_object, i)),
                             arrays.mesh[i], arrays.object_id[i], arrays.material_start[i], arrays.visibility[i],
                             std::uint32_t(arrays.emitter[i] + 1)};
-            boxes[i] = instance_bounds(mesh.bounds(), placements[i].object_to_world, instances[i].world_to_object);
         }
     });
     largest_material_ = -1;
@@ -226,10 +202,9 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
         largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
-    const Bvh bvh = build_bvh(boxes, 1);
+    const TopLevel top = build_top_level(meshes, instances, placements);
     std::vector<MeshView> views;
     for (const auto& mesh : meshes) views.push_back(mesh->view());
-    const std::vector<std::int32_t> order(bvh.primitives.begin(), bvh.primitives.end());
     const auto keep = [this]<class Rows>(Rows& kept, const auto& rows) {
         if (std::equal(kept.begin(), kept.end(), rows.begin(), rows.end())) return;
         kept = Rows(rows.begin(), rows.end());
@@ -239,15 +214,15 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     keep(instance_mesh_, arrays.mesh);
     keep(material_start_, arrays.material_start);
     keep(material_table_rows_, arrays.material_table);
-    nodes_ = Buffer<WideNode>(device_, std::span<const WideNode>(bvh.nodes), "the scene's tree");
-    instance_order_ = Buffer<std::int32_t>(device_, std::span<const std::int32_t>(order), "the scene's tree");
+    nodes_ = Buffer<WideNode>(device_, std::span<const WideNode>(top.nodes), "the scene's tree");
+    top_leaves_ = Buffer<TopLeaf>(device_, std::span<const TopLeaf>(top.leaves), "the scene's tree");
     instances_ = Buffer<Instance>(device_, std::span<const Instance>(instances), "instances");
     placements_ = Buffer<Placement>(device_, std::span<const Placement>(placements), "instances");
     mesh_views_ = Buffer<MeshView>(device_, std::span<const MeshView>(views), "meshes");
     material_table_ = Buffer<std::int32_t>(device_, arrays.material_table, "the material table");
     scene_.nodes = nodes_.data();
-    scene_.has_one_instance = order.size() == 1;
-    scene_.instance_order = instance_order_.data();
+    scene_.has_one_leaf = top.leaves.size() == 1;
+    scene_.top_leaves = top_leaves_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
     scene_.meshes = mesh_views_.data();
@@ -403,6 +378,11 @@ void Tracer::find_opacity() {
     opacity_.find(device_, {meshes_, instance_mesh_, material_start_, material_table_rows_, material_rows_,
                             material_map_rows_, textures_}, scene_);
     scene_.opacity = opacity_.view();
+    const auto shines = [](const Material& material) {
+        return max(max_component(material.emission), max_component(material.light_emission)) > 0.0f;
+    };
+    scene_.last_hits_are_dark =
+        !opacity_.has_shaded() && std::none_of(material_rows_.begin(), material_rows_.end(), shines);
     knows_opacity_ = true;
 }
 

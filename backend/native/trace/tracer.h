@@ -141,7 +141,7 @@ private:
     std::vector<std::shared_ptr<Mesh>> meshes_;
     std::vector<std::shared_ptr<Texture>> textures_;
     Buffer<WideNode> nodes_;
-    Buffer<std::int32_t> instance_order_;
+    Buffer<TopLeaf> top_leaves_;
     Buffer<Instance> instances_;
     Buffer<Placement> placements_;
     Buffer<MeshView> mesh_views_;

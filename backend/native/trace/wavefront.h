@@ -51,6 +51,7 @@ struct alignas(16) PathRecord {
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
     SVGF_HD int transparent_bounces() const { return int(bounces >> 16); }
+    SVGF_HD bool ends() const { return kind_and_flags >> 31 != 0; }
     SVGF_HD Path path() const {
         Path path;
         path.ray = ray();
@@ -65,7 +66,7 @@ struct alignas(16) PathRecord {
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
-        path.ends = kind_and_flags >> 31 != 0;
+        path.ends = ends();
         return path;
     }
 };
@@ -130,7 +131,8 @@ struct ExtendStage {
         const int pixel = in_pixels[i];
         const PathRecord& path = memory.paths[pixel];
         const Sampler sampler(pixel, seed, sample);
-        store(memory.hits + pixel, vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces()));
+        store(memory.hits + pixel,
+              vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces(), path.ends()));
     }
 };
 
@@ -149,7 +151,7 @@ struct FirstExtendStage {
         const int pixel = y * camera.width + x;
         const Sampler sampler(pixel, seed, sample);
         const Ray ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        store(out_hit + pixel, vertices.find_hit(sampler, 0, ray, 0));
+        store(out_hit + pixel, vertices.find_hit(sampler, 0, ray, 0, false));
     }
 };
 

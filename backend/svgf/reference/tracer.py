@@ -14,8 +14,8 @@ from .environment import World
 from .gbuffer import PrimaryRays, trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
-from .path import Signals, trace_paths
 from .opacity import find_path_hits
+from .path import Signals, trace_paths
 from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
