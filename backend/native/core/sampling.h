@@ -104,14 +104,24 @@ struct Frame {
     SVGF_HD Vec3 to_local(Vec3 v) const { return {dot(x, v), dot(y, v), dot(z, v)}; }
 };
 
+// Cosine and sine of an angle in half turns. The device is spared the reduction of angles of any size, which is much code.
+SVGF_HD inline Vec2 point_on_circle(float half_turns) {
+#if defined(__CUDA_ARCH__)
+    Vec2 point;
+    sincospif(half_turns, &point.y, &point.x);
+    return point;
+#else
+    return {std::cos(pi * half_turns), std::sin(pi * half_turns)};
+#endif
+}
+
 // Concentric map, area preserving [Shirley97].
 SVGF_HD inline Vec2 sample_unit_disk(Vec2 u) {
     const float a = 2.0f * u.x - 1.0f, b = 2.0f * u.y - 1.0f;
     if (a == 0.0f && b == 0.0f) return {};
     const bool wide = std::fabs(a) > std::fabs(b);
     const float radius = wide ? a : b;
-    const float angle = wide ? (pi / 4) * (b / a) : (pi / 2) - (pi / 4) * (a / b);
-    return {radius * std::cos(angle), radius * std::sin(angle)};
+    return point_on_circle(wide ? 0.25f * (b / a) : 0.5f - 0.25f * (a / b)) * radius;
 }
 
 // Density cos / pi, around +z.
@@ -125,8 +135,8 @@ SVGF_HD inline Vec3 sample_cosine_hemisphere(Vec2 u) {
 SVGF_HD inline Vec3 sample_cone(Vec2 u, float one_minus_cosine) {
     const float height = u.x * one_minus_cosine;
     const float radius = std::sqrt(max(0.0f, height * (2.0f - height)));
-    const float angle = 2.0f * pi * u.y;
-    return {radius * std::cos(angle), radius * std::sin(angle), 1.0f - height};
+    const Vec2 around = point_on_circle(2.0f * u.y) * radius;
+    return {around.x, around.y, 1.0f - height};
 }
 
 // Weights of the two edges for a uniform point on a triangle: vertex + edge1 * x + edge2 * y.

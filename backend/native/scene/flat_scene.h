@@ -19,10 +19,11 @@ struct alignas(16) LeafTriangle {
 };
 static_assert(sizeof(LeafTriangle) == 48);
 
-struct CornerNormals {  // 36 bytes; all zero: use the face normal
+struct alignas(16) CornerNormals {  // 48 bytes; all zero: use the face normal
     Vec3 corner[3];
+    float unused[3] = {};
 };
-struct CornerUvs {  // 24 bytes
+struct alignas(8) CornerUvs {  // 24 bytes
     Vec2 corner[3];
 };
 struct TrianglePositions {  // 36 bytes
@@ -143,7 +144,8 @@ struct alignas(16) MaterialMap {
     std::int32_t channel;  // of a scalar; -1: RGB
     std::int32_t uv_layer;
     float uv_transform[6];
-    float unused[2];
+    std::int32_t same_texel;  // as the map before this one reads: not 0
+    float unused;
 };
 static_assert(sizeof(MaterialMap) == 12 * sizeof(float));
 
@@ -193,7 +195,7 @@ static_assert(sizeof(LightNode) == 12 * sizeof(float));
 enum class Interpolation : std::int32_t { closest, linear, cubic };
 enum class Extension : std::int32_t { repeat, extend, clip, mirror };
 
-struct TextureView {
+struct alignas(16) TextureView {
     const std::uint32_t* bytes = nullptr;  // RGBA, red in the lowest byte; null: floats
     const Vec4* floats = nullptr;
     std::int32_t width = 0, height = 0;

@@ -46,6 +46,34 @@ struct Part {
     bool operator<(const Part& other) const { return box.half_area() < other.box.half_area(); }
 };
 
+// Whether an instance shares most of its space with another one. Only the largest are looked at: small ones have few rays
+// to share.
+class OverlapsAnother {
+public:
+    explicit OverlapsAnother(std::span<const Part> parts) {
+        std::vector<Part> largest(parts.begin(), parts.end());
+        const auto end = largest.begin() + std::ptrdiff_t(std::min(largest.size(), most_examined));
+        std::partial_sort(largest.begin(), end, largest.end(), [](const Part& a, const Part& b) { return b < a; });
+        largest.erase(end, largest.end());
+        overlaps_.resize(parts.size());
+        for (const Part& a : largest)
+            for (const Part& b : largest) {
+                const Bounds common{max(a.box.low, b.box.low), min(a.box.high, b.box.high)};
+                const float larger = max(a.box.half_area(), b.box.half_area());
+                if (a.leaf.instance != b.leaf.instance && common.half_area() >= least_overlap * larger && larger > 0.0f)
+                    overlaps_[std::size_t(a.leaf.instance)] = true;
+            }
+    }
+
+    bool operator()(const Part& part) const { return overlaps_[std::size_t(part.leaf.instance)]; }
+
+private:
+    static constexpr std::size_t most_examined = 128;
+    static constexpr float least_overlap = 0.25f;  // of the larger of the two, by surface area
+
+    std::vector<bool> overlaps_;
+};
+
 // The children of a node of a mesh's tree, as parts of an instance.
 template <class Add>
 void open(const WideNode& node, std::int32_t instance, const Add& add) {
@@ -75,29 +103,29 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
                         whole(std::int32_t(i))};
     });
 
-    // One alone overlaps nothing.
-    const std::size_t wanted = count > 1 ? std::min(leaves_per_instance * count, most_opened_leaves) : 0;
-    if (wanted > count) {
-        std::vector<Part> final_parts;
-        std::make_heap(parts.begin(), parts.end());
-        while (!parts.empty() && parts.size() + final_parts.size() < wanted) {
-            std::pop_heap(parts.begin(), parts.end());
-            const Part part = parts.back();
-            parts.pop_back();
-            const std::size_t i = std::size_t(part.leaf.instance);
-            const std::span<const WideNode> nodes = meshes[std::size_t(instances[i].mesh)]->top_nodes();
-            const bool is_node = part.leaf.bits >> WideNode::inner_bit;
-            if (!is_node || part.leaf.first >= nodes.size()) {
-                final_parts.push_back(part);
-                continue;
-            }
-            open(nodes[part.leaf.first], part.leaf.instance, [&](const Bounds& box, const TopLeaf& leaf) {
-                parts.push_back({world_bounds(box, placements[i].object_to_world, instances[i].world_to_object), leaf});
-                std::push_heap(parts.begin(), parts.end());
-            });
+    // All that may be opened come first, as a heap: the largest part is opened next.
+    const auto end_of_heap = std::partition(parts.begin(), parts.end(), OverlapsAnother(parts));
+    std::vector<Part> heap(parts.begin(), end_of_heap);
+    parts.erase(parts.begin(), end_of_heap);
+    std::make_heap(heap.begin(), heap.end());
+    const std::size_t wanted = std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
+    while (!heap.empty() && parts.size() + heap.size() < wanted) {
+        std::pop_heap(heap.begin(), heap.end());
+        const Part part = heap.back();
+        heap.pop_back();
+        const std::size_t i = std::size_t(part.leaf.instance);
+        const std::span<const WideNode> nodes = meshes[std::size_t(instances[i].mesh)]->top_nodes();
+        const bool is_node = part.leaf.bits >> WideNode::inner_bit;
+        if (!is_node || part.leaf.first >= nodes.size()) {
+            parts.push_back(part);
+            continue;
         }
-        parts.insert(parts.end(), final_parts.begin(), final_parts.end());
+        open(nodes[part.leaf.first], part.leaf.instance, [&](const Bounds& box, const TopLeaf& leaf) {
+            heap.push_back({world_bounds(box, placements[i].object_to_world, instances[i].world_to_object), leaf});
+            std::push_heap(heap.begin(), heap.end());
+        });
     }
+    parts.insert(parts.end(), heap.begin(), heap.end());
 
     std::vector<Bounds> boxes(parts.size());
     std::transform(parts.begin(), parts.end(), boxes.begin(), [](const Part& part) { return part.box; });

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stage "gbuffer": what the primary ray of each pixel sees, for demodulation, reprojection and edges. Keeps the hits
+// Stage "gbuffer": what the primary ray of each pixel sees, for demodulation, reprojection and edges. Its hits are kept
 // for stage "path", which starts with the same rays.
 #pragma once
 
@@ -38,10 +38,36 @@ SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler
     return ray;
 }
 
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
+// registers it needs. Of the kernels with specular lobes and with transmission one block more costs 10 % of the launch
+// (H200, atrium and cornell).
+template <Effects kernel>
+constexpr int shade_blocks = covers(kernel, Effects::transmission) ? 3 : covers(kernel, Effects::specular) ? 4 : 6;
+
+// Primary rays: hits for the stages that shade. On its own, because tracing needs few registers and many threads.
+template <Effects kernel>
+struct PrimaryHitStage {
+    // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
+    static constexpr LaunchShape launch_shape{8, 16, path_trace_blocks<kernel>};
+
+    SceneView scene;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    int transparent_bounces;
+    Hit* out_hit;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int i = y * camera.width + x;
+        const Sampler sampler(i, seed, sample);
+        const Ray ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        store(out_hit + i, find_path_hit<kernel>(scene, ray, sampler, 0, max(transparent_bounces, 1)));
+    }
+};
+
 template <Effects kernel>
 struct GbufferStage {
-    // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
-    static constexpr LaunchShape launch_shape{8, 16};
+    static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
 
     SceneView scene;
     Camera camera, previous_camera;
@@ -50,7 +76,7 @@ struct GbufferStage {
     bool camera_moves;
     int transparent_bounces;
 
-    Hit* out_hit;
+    const Hit* in_hit;         // of the primary rays
     Vec3* out_normal;          // world, on the viewer's side; 0 on the background
     float* out_depth;          // planar
     Vec2* out_depth_gradient;  // per pixel
@@ -67,24 +93,21 @@ struct GbufferStage {
         const Sampler sampler(i, seed, sample);
         const Vec2 point = pixel_point(x, y, sampler, box_filter);
         Ray ray = primary_ray<kernel>(camera, point, sampler);
-        int allowed = max(transparent_bounces, 1);
-        Hit hit = find_path_hit<kernel>(scene, ray, sampler, 0, allowed);
-        out_hit[i] = hit;
-        if (!hit.found()) return write_background(i, ray.direction);
         const Vec3 view = -ray.direction;
-        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0, hit));
+        int allowed = max(transparent_bounces, 1);
+        Hit hit = load(in_hit + i);
         Vec3 tint{1, 1, 1};
-        if constexpr (covers(kernel, Effects::alpha)) {
+        Surface surface;
+        for (int vertex = 0;; ++vertex) {
+            if (!hit.found()) return write_background(i, ray.direction);
+            surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex, hit));
+            if constexpr (!covers(kernel, Effects::alpha)) break;
             // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
             allowed -= hit.passed;
-            for (int vertex = 1; max_component(surface.straight) > 0.0f && allowed > 0; ++vertex) {
-                tint *= surface.straight;
-                ray.t_min = hit.t;
-                hit = find_path_hit<kernel>(scene, ray, sampler, vertex, --allowed);
-                if (!hit.found()) return write_background(i, ray.direction);
-                allowed -= hit.passed;
-                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex, hit));
-            }
+            if (!(max_component(surface.straight) > 0.0f) || allowed <= 0) break;
+            tint *= surface.straight;
+            ray.t_min = hit.t;
+            hit = find_path_hit_apart<kernel>(scene, ray, sampler, vertex + 1, --allowed);
         }
         const Bsdf<kernel> bsdf(scene, surface, view);
         const ImagePoint now = camera.project(surface.position);

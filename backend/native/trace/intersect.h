@@ -245,6 +245,55 @@ constexpr int trace_blocks = 7;
 // Groups that wait at most: a level leaves what is left of its node, and its primitives where they are postponed.
 constexpr int stack_entries = 4 * max_tree_levels;
 
+// Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low bits, or
+// primitives.
+struct NodeGroup {
+    std::uint32_t first, bits;
+
+    SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
+};
+
+// What a ray has still to visit. On the device its bottom lies in shared memory, of which all traversals of a kernel use
+// the same, one after the other: in local memory alone it is most of a bounce ray's traffic.
+class TraversalStack {
+public:
+    SVGF_HD bool is_empty() const { return size_ == 0; }
+    SVGF_HD int size() const { return size_; }
+
+#if defined(__CUDA_ARCH__)
+    __device__ TraversalStack() {
+        __shared__ uint2 entries[shared_entries * threads];
+        shared_ = entries + threadIdx.y * blockDim.x + threadIdx.x;
+    }
+    __device__ void push(NodeGroup group) {
+        if (size_ < shared_entries)
+            shared_[threads * size_] = {group.first, group.bits};
+        else
+            local_[size_ - shared_entries] = group;
+        ++size_;
+    }
+    __device__ NodeGroup pop() {
+        --size_;
+        if (size_ >= shared_entries) return local_[size_ - shared_entries];
+        const uint2 entry = shared_[threads * size_];
+        return {entry.x, entry.y};
+    }
+#else
+    SVGF_HD void push(NodeGroup group) { local_[size_++] = group; }
+    SVGF_HD NodeGroup pop() { return local_[--size_]; }
+#endif
+
+private:
+#if defined(__CUDA_ARCH__)
+    static constexpr int shared_entries = 8, threads = 128;  // of a block
+    uint2* shared_;
+    NodeGroup local_[stack_entries - shared_entries];
+#else
+    NodeGroup local_[stack_entries];
+#endif
+    int size_ = 0;
+};
+
 // Whether so few threads of the warp have primitives to test that they had better wait for others, and go on with nodes
 // [Ylitie17, Section 4.4]. On an H200 bounce rays gain up to a half from it, whatever the number between 6 and 24.
 SVGF_HD inline bool is_lonely() {
@@ -265,17 +314,8 @@ struct NothingPasses {
 // and says whether the ray goes on as if it were not there.
 template <bool any_hit, class Passes>
 SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
-    // Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low
-    // bits, or primitives.
-    struct Group {
-        std::uint32_t first, bits;
-
-        SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
-    };
-    constexpr Group root{0, 1u << 31};
-    constexpr Group only_leaf{0, 1u};
-    Group stack[stack_entries];
-    int stack_size = 0;
+    constexpr NodeGroup root{0, 1u << 31}, only_leaf{0, 1u};
+    TraversalStack stack;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
     const WideNode* nodes = scene.nodes;
@@ -283,16 +323,16 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     BoxRay box_ray(ray.origin, ray.direction);
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
-    Group group = scene.has_one_leaf ? only_leaf : root;
+    NodeGroup group = scene.has_one_leaf ? only_leaf : root;
     for (;;) {
-        Group primitives;
+        NodeGroup primitives;
         if (group.has_nodes()) {
             const int bit = highest_set_bit(group.bits);
             group.bits ^= 1u << bit;
             const std::uint32_t slot = std::uint32_t(bit - WideNode::inner_bit) ^ box_ray.octant;
             const std::uint32_t before = group.bits & ((1u << slot) - 1) & 0xffu;
             const std::uint32_t child = group.first + std::uint32_t(count_set_bits(before));
-            if (group.has_nodes()) stack[stack_size++] = group;
+            if (group.has_nodes()) stack.push(group);
             const WideNode& node = load(nodes + child);
             const std::uint32_t mask = intersect_children(node, box_ray, ray.t_min, t_max);
             group = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
@@ -308,9 +348,9 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 const TopLeaf leaf = scene.top_leaves[i];
                 const Instance& placed = load(scene.instances + leaf.instance);
                 if ((placed.visibility & ray.kind) == 0) continue;
-                if (group.has_nodes()) stack[stack_size++] = group;
-                if (primitives.bits) stack[stack_size++] = primitives;
-                instance_floor = stack_size;
+                if (group.has_nodes()) stack.push(group);
+                if (primitives.bits) stack.push(primitives);
+                instance_floor = stack.size();
                 instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
@@ -320,12 +360,12 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 box_ray = BoxRay(origin, direction);
                 triangle_ray = TriangleRay(origin, direction);
                 group = {leaf.first, leaf.bits};
-                if (!group.has_nodes()) stack[stack_size++] = group;
+                if (!group.has_nodes()) stack.push(group);
                 break;
             }
             if (group.has_nodes() && is_lonely()) {
                 primitives.bits |= 1u << (i - primitives.first);
-                stack[stack_size++] = primitives;
+                stack.push(primitives);
                 break;
             }
             const LeafTriangle& triangle = load(triangles + i);
@@ -344,13 +384,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
             hit = found;
         }
         if (group.has_nodes()) continue;
-        if (stack_size == 0) break;
-        if (instance >= 0 && stack_size == instance_floor) {
+        if (stack.is_empty()) break;
+        if (instance >= 0 && stack.size() == instance_floor) {
             instance = -1;
             nodes = scene.nodes;
             box_ray = BoxRay(ray.origin, ray.direction);
         }
-        group = stack[--stack_size];
+        group = stack.pop();
     }
     return t_max < ray.t_max;
 }

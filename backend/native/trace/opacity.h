@@ -14,6 +14,11 @@
 
 namespace svgf {
 
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that traces a path's rays. Reading alpha from
+// within the traversal takes registers.
+template <Effects kernel>
+constexpr int path_trace_blocks = covers(kernel, Effects::alpha) ? 5 : trace_blocks;
+
 SVGF_HD inline OpacityClass opacity_class(const SceneView& scene, const Hit& hit) {
     const std::uint8_t* const classes = scene.opacity[hit.instance];
     return classes ? OpacityClass(classes[hit.leaf_triangle]) : OpacityClass::opaque;
@@ -88,6 +93,12 @@ SVGF_HD Hit find_path_hit(const SceneView& scene, const Ray& ray, const Sampler&
     traverse<false>(scene, ray, hit, passes);
     // Some of them may lie behind the hit.
     return passes.passed == 0 ? hit : count_passed<kernel>(scene, ray, sampler, vertex, allowed, hit);
+}
+
+// The same where it is the exception: a call of its own.
+template <Effects kernel>
+SVGF_HD SVGF_NOINLINE Hit find_path_hit_apart(const SceneView& scene, Ray ray, Sampler sampler, int vertex, int allowed) {
+    return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
 }
 
 // Whether anything stops a path's ray: a hit of which no more is known than that it was found.

@@ -93,7 +93,9 @@ private:
         Range range{infinity, -infinity};
         for (int y = first_y; y <= last_y; ++y)
             for (int x = first_x; x <= last_x; ++x) {
-                const float value = channel_of(load_texel(texture, x, y), map.channel);
+                const Vec4 texel = load_texel(texture, wrap_texel(x, texture.width, texture.extension),
+                                              wrap_texel(y, texture.height, texture.extension));
+                const float value = channel_of(texel, map.channel);
                 range = {min(range.low, value), max(range.high, value)};
             }
         return range;

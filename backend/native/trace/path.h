@@ -63,12 +63,16 @@ struct PathVertices {
     bool splits_direct;  // signals: direct and indirect, else diffuse and specular
     bool two_signals;    // else the first one gets all
 
-    // Where the ray of a path ends. ends: it only looks for light, see Path.
-    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces, bool ends) const {
-        const int allowed = max(limits.transparent_bounces, 1) - transparent_bounces;
-        if (ends && scene.last_hits_are_dark && !crosses_finite_lamp(ray))
-            return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
-        return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
+    // Where the ray of a path ends.
+    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
+        return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+    }
+
+    // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
+    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
+        if (crosses_finite_lamp(ray))
+            return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
@@ -127,6 +131,11 @@ struct PathVertices {
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
     static constexpr bool has_alpha = covers(kernel, Effects::alpha);
+
+    // Surfaces that a path may still pass. One may always be passed.
+    SVGF_HD int allowed(int transparent_bounces) const {
+        return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
 
     // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
@@ -329,9 +338,13 @@ struct PathStage {
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
         Gathered light;
         for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit
-                                ? in_hit[pixel]
-                                : vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces, path.ends);
+            Hit hit;
+            if (vertex == 0 && in_hit)
+                hit = in_hit[pixel];
+            else if (path.ends && vertices.scene.last_hits_are_dark)
+                hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces);
+            else
+                hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
             if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);

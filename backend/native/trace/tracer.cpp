@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <tuple>
 #include <utility>
 
 #include "device/threads.h"
@@ -125,6 +126,18 @@ Material cleaned_material(Material material) {
     return material;
 }
 
+// Sorts the maps of a material so that those which read the same texel follow each other, and are marked.
+void put_same_texels_together(std::span<MaterialMap> maps) {
+    const auto place = [](const MaterialMap& map) {
+        const float* m = map.uv_transform;
+        return std::tuple(map.texture, map.uv_layer, m[0], m[1], m[2], m[3], m[4], m[5]);
+    };
+    std::stable_sort(maps.begin(), maps.end(),
+                     [&](const MaterialMap& a, const MaterialMap& b) { return place(a) < place(b); });
+    for (std::size_t i = 0; i < maps.size(); ++i)
+        maps[i].same_texel = i > 0 && place(maps[i]) == place(maps[i - 1]) ? 1 : 0;
+}
+
 // That what a material names is there, and that mixes end.
 void check_materials(std::span<const Material> materials, std::size_t map_count) {
     std::vector<int> depths(materials.size(), 0);
@@ -242,9 +255,12 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
                "A material names a texture that is not there.");
     }
     check_materials(rows, maps.size());
-    for (Material& material : rows)
-        for (std::int32_t i = material.map_start; i < material.map_start + material.map_count; ++i)
-            if (maps[std::size_t(i)].input == MaterialInput::alpha) material.alpha_map = i;
+    for (Material& material : rows) {
+        const auto own_maps = std::span(maps).subspan(std::size_t(material.map_start), std::size_t(material.map_count));
+        put_same_texels_together(own_maps);
+        for (std::size_t i = 0; i < own_maps.size(); ++i)
+            if (own_maps[i].input == MaterialInput::alpha) material.alpha_map = material.map_start + std::int32_t(i);
+    }
     std::vector<TextureView> views;
     for (const auto& texture : textures) views.push_back(texture->view());
     textures_ = std::move(textures);
@@ -430,7 +446,10 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
     Buffer<Hit> hits(device_, pixels, "primary hits");
-    GbufferStage<kernel> gbuffer{
+    device_.launch("gbuffer hits", frame.width, frame.height,
+                   PrimaryHitStage<kernel>{scene_, camera_, frame.sample, frame.seed, box_filter,
+                                           frame.light_paths.transparent_bounces, hits.data()});
+    const GbufferStage<kernel> gbuffer{
         .scene = scene_,
         .camera = camera_,
         .previous_camera = previous_camera_,
@@ -439,7 +458,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .box_filter = box_filter,
         .camera_moves = covers(effects, Effects::camera_motion),
         .transparent_bounces = frame.light_paths.transparent_bounces,
-        .out_hit = hits.data(),
+        .in_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
         .out_depth_gradient = reinterpret_cast<Vec2*>(floats("depth_gradient", 2)),
@@ -515,7 +534,8 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
         counts.clear();
         if (i > 0 && !same_rays) {
             device_.launch("path extend", width, height,
-                           FirstExtendStage<kernel>{vertices, camera_, sample, frame.seed, box_filter, hits.data()});
+                           PrimaryHitStage<kernel>{scene_, camera_, sample, frame.seed, box_filter,
+                                               frame.light_paths.transparent_bounces, hits.data()});
             first_hits = hits.data();
         }
         device_.launch("path shade", width, height,
@@ -525,8 +545,11 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
                              ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0, shadow_queue(0).pixels});
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
             const PixelQueue queue = path_queue(vertex);
-            device_.launch_queue("path extend", pixels, queue.count,
-                                 ExtendStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels});
+            const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, queue.pixels};
+            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark)
+                device_.launch_queue("path extend", pixels, queue.count, LastExtendStage<kernel>{extend});
+            else
+                device_.launch_queue("path extend", pixels, queue.count, extend);
             device_.launch_queue("path shade", pixels, queue.count,
                                  ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
                                                     path_queue(vertex + 1), shadow_queue(vertex)});

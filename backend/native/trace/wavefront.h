@@ -16,12 +16,6 @@
 
 namespace svgf {
 
-// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
-// registers it needs. Of the kernels with specular lobes and with transmission one block more costs 10 % of the launch
-// (H200, atrium and cornell).
-template <Effects kernel>
-constexpr int shade_blocks = covers(kernel, Effects::transmission) ? 3 : covers(kernel, Effects::specular) ? 4 : 6;
-
 // Records as they lie in memory: whole reads of 16 bytes.
 struct alignas(16) PathRecord {
     Vec3 origin;
@@ -51,7 +45,6 @@ struct alignas(16) PathRecord {
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
     SVGF_HD int transparent_bounces() const { return int(bounces >> 16); }
-    SVGF_HD bool ends() const { return kind_and_flags >> 31 != 0; }
     SVGF_HD Path path() const {
         Path path;
         path.ray = ray();
@@ -66,7 +59,7 @@ struct alignas(16) PathRecord {
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
-        path.ends = ends();
+        path.ends = kind_and_flags >> 31 != 0;
         return path;
     }
 };
@@ -119,7 +112,7 @@ struct PathMemory {
 
 template <Effects kernel>
 struct ExtendStage {
-    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+    static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -132,26 +125,21 @@ struct ExtendStage {
         const PathRecord& path = memory.paths[pixel];
         const Sampler sampler(pixel, seed, sample);
         store(memory.hits + pixel,
-              vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces(), path.ends()));
+              vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces()));
     }
 };
 
-// Primary rays where the gbuffer did not trace them.
+// The last rays of paths, where scene.last_hits_are_dark.
 template <Effects kernel>
-struct FirstExtendStage {
-    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
+struct LastExtendStage : ExtendStage<kernel> {
+    using ExtendStage<kernel>::launch_shape;
 
-    PathVertices<kernel> vertices;
-    Camera camera;
-    std::uint32_t sample, seed;
-    bool box_filter;
-    Hit* out_hit;
-
-    SVGF_HD void operator()(int x, int y) const {
-        const int pixel = y * camera.width + x;
-        const Sampler sampler(pixel, seed, sample);
-        const Ray ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        store(out_hit + pixel, vertices.find_hit(sampler, 0, ray, 0, false));
+    SVGF_HD void operator()(int i) const {
+        const int pixel = this->in_pixels[i];
+        const PathRecord& path = this->memory.paths[pixel];
+        const Sampler sampler(pixel, this->seed, this->sample);
+        store(this->memory.hits + pixel,
+              this->vertices.find_last_hit(sampler, this->vertex, path.ray(), path.transparent_bounces()));
     }
 };
 
@@ -216,7 +204,7 @@ struct FirstShadeStage {
 
 template <Effects kernel>
 struct ShadowStage {
-    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+    static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
