@@ -51,14 +51,14 @@ class Reprojection:
     def _accepts(self, column: Any, row: Any) -> Any:
         xp = namespace(self.x)
         height, width = self.x.shape
+        old = self.previous
+        slope = self.guides.gradient
+        plane = self.expected_depth + slope[..., 0] * (column - self.x) + slope[..., 1] * (row - self.y)
+        allowed = self.tolerance * xp.abs(self.expected_depth) + 0.5 * xp.abs(slope).sum(axis=-1)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         row, column = xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)
-        old = self.previous
-        slope = old.gradient[row, column]
-        plane = old.depth[row, column] + slope[..., 0] * (self.x - column) + slope[..., 1] * (self.y - row)
-        allowed = self.tolerance * xp.abs(self.expected_depth) + 0.5 * xp.abs(slope).sum(axis=-1)
         same = self.reachable & inside & (old.object_id[row, column] == self.guides.object_id)
-        same &= xp.abs(plane - self.expected_depth) <= allowed
+        same &= xp.abs(old.depth[row, column] - plane) <= allowed
         return same & ((old.normal[row, column] * self.guides.normal).sum(axis=-1) >= self.normal_tolerance)
 
 
