@@ -316,7 +316,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
     fireflies_.clear();
     TemporalPlus<Storage, Signals> stage;
     stage.reprojection = reprojection<Storage>(inputs);
-    stage.history_frames = settings_.history_frames;
+    stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
