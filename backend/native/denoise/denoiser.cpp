@@ -344,7 +344,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.out_guides = guides_of<Storage>(guides_);
     stage.out_gradients = gradients<Storage>();
     stage.out_history_length = history_length;
-    stage.history_frames = settings_.history_frames;
+    stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
