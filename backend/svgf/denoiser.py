@@ -39,7 +39,7 @@ _IMAGES = {
     "object_id": _Image((1,), "number of the object, 0 on the background", whole=True),
 }
 # A tracer's images that no method reads: a renderer can hand over all it has.
-_IGNORED = frozenset({"roughness", "material_id"})
+_IGNORED = frozenset({"roughness", "material_id", "hit_distance"})
 
 _DLPACK_HOST = (1, 3)  # kDLCPU, kDLCUDAHost
 _LEGACY_STREAM = 1

@@ -26,6 +26,7 @@ constexpr int roulette_start = 3;
 struct Gathered {
     Vec3 emission, first, second;
     float alpha = 1;
+    float hit_distance = 0;  // see Tracer::trace
 };
 
 // What a path carries from one vertex to the next.
@@ -40,6 +41,7 @@ struct Path {
     int transparent_bounces = 0;  // these are not among the bounces
     bool delta = true;
     bool ends = false;  // the ray only looks for light
+    bool measures_distance = false;  // the ray left the seen surface by a specular lobe
 };
 
 // Light that arrives as far as its way is free.
@@ -68,6 +70,7 @@ struct PathVertices {
         Ray& ray = path.ray;
         if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
         if (!hit.found()) {
+            if (path.measures_distance) light.hit_distance = background_depth;
             add_world(path, light);
             return false;
         }
@@ -84,6 +87,10 @@ struct PathVertices {
                 return true;
             }
         }
+        if constexpr (covers(kernel, Effects::specular)) {
+            if (path.measures_distance) light.hit_distance = hit.t;
+            path.measures_distance = false;
+        }
         if (path.ends) return false;
 
         const Vec2 lobe_and_roulette = sampler.pair(SamplePair::lobe_and_roulette, vertex);
@@ -98,7 +105,10 @@ struct PathVertices {
 
         BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
-        if (path.bounces == 0) path.diffuse_share = share_of(next.weight);
+        if (path.bounces == 0) {
+            path.diffuse_share = share_of(next.weight);
+            path.measures_distance = next.event != BsdfEvent::diffuse && max_component(next.weight.specular) > 0.0f;
+        }
         path.throughput *= next.weight.total();
         if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return false;
         count_bounce(path, next);
@@ -127,7 +137,7 @@ private:
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
         path.pdf = next.weight.pdf;
         path.delta = next.delta;
-            path.ends = ++path.bounces > limits.bounces;
+        path.ends = ++path.bounces > limits.bounces;
         if constexpr (has_limits) {
             if (!next.delta) path.smallest_pdf = min(path.smallest_pdf, next.weight.pdf);
             if (next.event == BsdfEvent::diffuse)
@@ -295,12 +305,14 @@ struct RadianceImages {
     Vec3* out_first_signal;
     Vec3* out_second_signal;  // null: the first one gets all
     float* out_alpha;         // null: the film is not transparent
+    float* out_hit_distance;  // of the first sample; null: nothing is specular
 
     SVGF_HD void add(int pixel, const Gathered& light) const {
         accumulate(out_emission[pixel], light.emission);
         accumulate(out_first_signal[pixel], light.first);
         if (out_second_signal) accumulate(out_second_signal[pixel], light.second);
         if (out_alpha) accumulate(out_alpha[pixel], light.alpha);
+        if (out_hit_distance && first_of_frame) out_hit_distance[pixel] = light.hit_distance;
     }
 
 private:

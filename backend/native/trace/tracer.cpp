@@ -461,6 +461,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_first_signal = vectors(splits_direct ? "direct" : "diffuse"),
         .out_second_signal = two_signals ? vectors(splits_direct ? "indirect" : "specular") : nullptr,
         .out_alpha = frame.transparent_film ? floats("alpha", 1) : nullptr,
+        .out_hit_distance = has_specular ? floats("hit_distance", 1) : nullptr,
     };
     // With a lens each sample has a ray of its own even through the middle of the pixel.
     const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;

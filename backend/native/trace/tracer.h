@@ -115,8 +115,10 @@ public:
     // Stages "gbuffer" and "path". The images: "normal" 3, "depth", "depth_gradient" 2, "object_id" (int),
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
-    // "direct" and "indirect". Left out: "specular" and "specular_albedo" where the effects lack specular, "motion"
-    // where nothing moves. With a transparent film, "alpha" too.
+    // "direct" and "indirect". "hit_distance", of the first sample: in metres from the seen surface to what its specular
+    // lobes' ray hit next, background_depth for the world, 0 where the path took no such ray. Left out: "specular",
+    // "specular_albedo" and "hit_distance" where the effects lack specular, "motion" where nothing moves. With a
+    // transparent film, "alpha" too.
     std::vector<Image> trace(const Frame& frame);
 
     // What each kernel simulates, from the cheapest on: the first one that covers a frame's effects runs.

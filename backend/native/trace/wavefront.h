@@ -36,7 +36,7 @@ struct alignas(16) PathRecord {
     std::uint32_t bounces;          // and above bit 16 transparent_bounces
     std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
     std::uint32_t transmission_bounces;
-    std::uint32_t kind_and_flags;  // bit 30: delta, bit 31: ends
+    std::uint32_t kind_and_flags;  // bit 29: measures_distance, bit 30: delta, bit 31: ends
     std::uint32_t unused;
 
     PathRecord() = default;
@@ -47,7 +47,9 @@ struct alignas(16) PathRecord {
           bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
           diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
           transmission_bounces(std::uint32_t(path.transmission_bounces)),
-          kind_and_flags(path.ray.kind | (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)), unused(0) {}
+          kind_and_flags(path.ray.kind | (path.measures_distance ? 1u << 29 : 0u) | (path.delta ? 1u << 30 : 0u) |
+                         (path.ends ? 1u << 31 : 0u)),
+          unused(0) {}
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
     SVGF_HD Path path() const {
@@ -63,6 +65,7 @@ struct alignas(16) PathRecord {
         path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
+        path.measures_distance = (kind_and_flags >> 29 & 1u) != 0;
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
         path.ends = kind_and_flags >> 31 != 0;
         return path;
@@ -86,16 +89,16 @@ struct alignas(16) GatheredRecord {
     Vec3 emission;
     float alpha;
     Vec3 first;
-    float unused0;
+    float hit_distance;
     Vec3 second;
-    float unused1;
+    float unused;
 
     GatheredRecord() = default;
     SVGF_HD explicit GatheredRecord(const Gathered& light)
-        : emission(light.emission), alpha(light.alpha), first(light.first), unused0(0), second(light.second),
-          unused1(0) {}
+        : emission(light.emission), alpha(light.alpha), first(light.first), hit_distance(light.hit_distance),
+          second(light.second), unused(0) {}
 
-    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha}; }
+    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha, hit_distance}; }
 };
 
 // Pixels that a launch works on, in any order.

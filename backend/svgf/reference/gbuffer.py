@@ -11,9 +11,9 @@ import numpy as np
 from ..scene import RayVisibility
 from .camera import Camera
 from .intersect import Hits
+from .path import BACKGROUND_DEPTH
 from .surface import SceneView, surface_at
 
-BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
 # Motion, in pixels, of what was behind the previous camera: reprojects to nowhere.
 NO_MOTION = 1e6

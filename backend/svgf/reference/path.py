@@ -29,6 +29,8 @@ from .sampling import (
 from .surface import SceneView, Surface, surface_at, transmittance_at
 
 ROULETTE_START = 3
+# Depth of the background, and the distance to it.
+BACKGROUND_DEPTH = 1e10
 # Numbers of the surfaces on one shadow ray.
 SHADOW_SURFACES = 1025
 
@@ -40,7 +42,8 @@ class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
     that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
     signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray
-    only looks for light. transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
+    only looks for light. measures_distance: the ray left the seen surface by a specular lobe. transparent_bounces: [n].
+    t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
@@ -54,6 +57,7 @@ class Paths:
     kind: np.ndarray
     bounces: np.ndarray
     ends: np.ndarray
+    measures_distance: np.ndarray
     transparent_bounces: np.ndarray
     t_min: np.ndarray
     t_max: np.ndarray
@@ -64,7 +68,7 @@ class Paths:
 
 class Signals:
     """Sums of light per pixel: emission, and two signals. split: "diffuse_specular" or "direct_indirect". With a
-    transparent film, alpha too."""
+    transparent film, alpha too. hit_distance: [count], see Tracer.trace."""
 
     def __init__(self, count: int, split: str, has_specular: bool, limits: LightPaths, transparent_film: bool) -> None:
         self.images = {name: np.zeros((count, 3)) for name in ("emission", *split.split("_"))}
@@ -76,6 +80,7 @@ class Signals:
             del self.images["specular"]
         if transparent_film:
             self.images["alpha"] = np.zeros(count)
+        self.hit_distance = np.zeros(count)
 
     def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: np.ndarray) -> None:
         """bounces: [n], between the camera and the light. share: see Paths."""
@@ -128,6 +133,7 @@ def trace_paths(
         kind=np.full(count, int(RayVisibility.CAMERA)),
         bounces=np.zeros((count, 3), dtype=np.int64),
         ends=np.zeros(count, dtype=bool),
+        measures_distance=np.zeros(count, dtype=bool),
         transparent_bounces=np.zeros(count, dtype=np.int64),
         t_min=near,
         t_max=far,
@@ -140,6 +146,7 @@ def trace_paths(
             hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, paths.t_max, paths.kind)
         _add_lamps(scene, signals, paths, hits)
         _add_world(scene, signals, paths.rows(~hits.found))
+        signals.hit_distance[paths.pixel[~hits.found & paths.measures_distance]] = BACKGROUND_DEPTH
         found = np.flatnonzero(hits.found)
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
@@ -156,6 +163,9 @@ def trace_paths(
         straight.throughput = straight.throughput * surface.straight[goes_on & is_straight]
         straight.t_min = t[goes_on & is_straight]
         straight.transparent_bounces = straight.transparent_bounces + 1
+
+        arrived = paths.measures_distance & ~is_straight & goes_on
+        signals.hit_distance[paths.pixel[arrived]] = t[arrived]
 
         number = paths.bounces.sum(axis=1)
         lobe_and_roulette = random_pair(keys[paths.pixel], lobe_pair(vertex), sample_number)
@@ -203,6 +213,7 @@ def _scatter(
     value = diffuse + specular
     first = paths.bounces.sum(axis=1) == 0
     paths.share = np.where(first[:, None], _share(diffuse, value), paths.share)
+    paths.measures_distance = first & (kind != RayVisibility.DIFFUSE) & (specular > 0.0).any(axis=1)
     paths.throughput = paths.throughput * value
     paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, kind
     paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))

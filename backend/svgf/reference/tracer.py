@@ -100,8 +100,9 @@ class Tracer:
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
         "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
-        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion"
-        only with an effect that moves something. kernel: of no account here, there is only one.
+        seen by the camera, and there is an image "alpha". "hit_distance", of the first sample: in metres from the seen
+        surface to what its specular lobes' ray hit next, 1e10 for the world, 0 where the path took no such ray. This
+        and "specular_albedo" are there only with SPECULAR, "motion" only with an effect that moves something. kernel: of no account here, there is only one.
         """
         camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
             self._camera_rows
@@ -134,8 +135,9 @@ class Tracer:
                     images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
             with self._device.stage("path"):
                 trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
+                images.setdefault("hit_distance", radiance.hit_distance.copy())
         if not Effects(effects) & Effects.SPECULAR:
-            del images["specular_albedo"]
+            del images["specular_albedo"], images["hit_distance"]
         if not Effects(effects) & MOTION_EFFECTS:
             del images["motion"]
         images.update({name: image / samples for name, image in radiance.images.items()})
