@@ -33,7 +33,7 @@ def script() -> Iterator[float]:
         bpy.ops.view3d.view_camera()
     yield 0.5
     start = time.monotonic()
-    start_engine(pixel_size="2", samples=12)
+    start_engine(pixel_size="2", samples=32, budget=100)
     while not views.sessions_of(window().scene) or session().result.frame is None:
         yield 0.02
     print(f"first picture after {time.monotonic() - start:.2f} s")
