@@ -207,6 +207,16 @@ def test_a_still_view_converges_to_its_samples(device):
     assert relative_mse(result["color"], truth) <= 1.1 * relative_mse(total / 1024, truth)
 
 
+@pytest.mark.parametrize(("rate", "frames"), [(10.0, 5.0), (24.0, 12.0)])
+def test_history_is_as_long_as_its_seconds(device, rate, frames):
+    denoiser = Denoiser(40, 24, device, "svgf+", DenoiseSettings(history_seconds=0.5, frame_rate=rate))
+    frame = make_frame()
+    frame["motion"][..., 0] = 0.25
+    for _ in range(20):
+        result = denoiser.denoise(frame)
+    np.testing.assert_array_equal(result["history_length"][:, :-8], frames)
+
+
 def test_a_zoom_keeps_its_history(device):
     """The camera comes nearer by 2 % each frame; 95 % of the pixels go on."""
     height, width = 24, 40

@@ -46,6 +46,8 @@ class Frame:
     object_id: int32 [H, W], 0 on the background. variance: [H, W] luminance variance that the filter left over.
     history_length: [H, W] number of frames in the temporal mean.
     alpha: [H, W] share of the pixel that the scene covers, by which color is multiplied; None if the film is opaque.
+    motion_error, reset_reason, repaired_values, suppressed_light: [H, W] as ``svgf.diagnostics`` says; None unless the
+    settings ask for diagnostics.
     timings: milliseconds per stage. reset: why history was restarted at this frame, empty when it went on.
     """
 
@@ -61,6 +63,10 @@ class Frame:
     variance: np.ndarray = _Image()
     history_length: np.ndarray = _Image()
     alpha: np.ndarray | None = _Image(None)
+    motion_error: np.ndarray | None = _Image(None)
+    reset_reason: np.ndarray | None = _Image(None)
+    repaired_values: np.ndarray | None = _Image(None)
+    suppressed_light: np.ndarray | None = _Image(None)
     timings: dict[str, float] = field(default_factory=dict)
     reset: str = ""
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from .albedo import albedo_tables
 from .devices import Device, open_device
+from .diagnostics import DIAGNOSTICS
 from .effects import Effects
 from .errors import InputError
 from .flatten import FlatScene, flatten
@@ -287,7 +288,9 @@ class Renderer:
                 width, height, self.settings.method, self.settings.denoise.as_dict()
             )
             self._denoiser_size = (width, height)
-        return self._denoiser.denoise({**images, "window": flat.window}, reset=bool(reset))
+        return self._denoiser.denoise(
+            {**images, "window": flat.window}, reset=bool(reset), diagnostics=self.settings.diagnostics
+        )
 
     def _finish(
         self,
@@ -321,6 +324,7 @@ class Renderer:
             variance=lazy(denoised["variance"], exposure**2),
             history_length=lazy(denoised["history_length"]),
             alpha=lazy(images["alpha"]) if "alpha" in images else None,
+            **{name: lazy(denoised[name]) for name in DIAGNOSTICS if name in denoised},
             timings=timings,
             reset=reset,
         )

@@ -193,7 +193,7 @@ private:
                 const float mean = saturate((dielectric_mean(plastic_eta_) - real_f0) / (1.0f - real_f0));
                 Vec3 factor{1, 1, 1};
                 if (gives_back) factor = given_back(energy, mean_energy, lerp(plastic_f0_, {1, 1, 1}, mean));
-                const float s = look_up_albedo(tables, dielectric_table, roughness, cos_view, ior_coordinate(plastic_eta_));
+                const float s = dielectric_share(tables, roughness, cos_view, plastic_eta_);
                 const Vec3 single = lerp(plastic_f0_, {1, 1, 1}, s);
                 plastic_ = below * factor;
                 specular += plastic_ * single * energy;
@@ -264,7 +264,7 @@ private:
         const float inside = fresnel_dielectric(cos_view, glass_eta_);
         Vec3 reflected{inside, inside, inside};
         if (entering && glass_eta_ != 1.0f) {
-            const float s = look_up_albedo(tables, dielectric_table, material.roughness, cos_view, z);
+            const float s = dielectric_share(tables, material.roughness, cos_view, material.ior);
             reflected = lerp(glass_f0_, {1, 1, 1}, s);
         }
         return weight * (reflected * reflection_tint_ + (1.0f - reflected) * transmission_tint_);

@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..scene import MaterialKind
-from .albedo import ior_coordinate, lookup
+from .albedo import dielectric_share, lookup
 from .diffuse import oren_nayar, oren_nayar_terms
 from .layers import column, make_layers
 from .microfacet import (
@@ -195,8 +195,7 @@ def make_bsdf(
     glass_factor = np.where(is_refraction[:, None], 1.0, glass_factor)
     glass = below * glass_share[:, None] * glass_factor
     inside_out = fresnel_dielectric(cos_view, glass_eta)
-    z = ior_coordinate(ior)
-    outside_in = glass_f0 + (1.0 - glass_f0) * lookup("dielectric", roughness, cos_view, z)[:, None]
+    outside_in = glass_f0 + (1.0 - glass_f0) * dielectric_share(roughness, cos_view, ior)[:, None]
     reflected = np.where(entering[:, None], outside_in, inside_out[:, None])
     reflected = np.where((glass_eta == 1.0)[:, None], 0.0, reflected)
     passed = np.where(is_refraction[:, None], transmission_tint, (1.0 - reflected) * transmission_tint)
@@ -211,7 +210,7 @@ def make_bsdf(
     mean = plastic_f0 + (1.0 - plastic_f0) * share
     energy, factor = multiscatter_factor(mean_roughness, cos_view, mean, multiscatter)
     plastic = below * plastic_share[:, None] * factor
-    s = lookup("dielectric", mean_roughness, cos_view, ior_coordinate(plastic_eta))[:, None]
+    s = dielectric_share(mean_roughness, cos_view, plastic_eta)[:, None]
     plastic_albedo = plastic * energy[:, None] * (plastic_f0 + (1.0 - plastic_f0) * s)
     # What multiscatter does not give back is not given to the base either.
     counted = np.where(multiscatter > 0.0, energy, 1.0)[:, None]
