@@ -31,3 +31,18 @@ def device(request):
     from svgf.devices import open_device
 
     return open_device(request.param)
+
+
+@pytest.fixture(scope="session")
+def scene_file(tmp_path_factory):
+    """Four frames of ``command_line.make_scene`` in one .svgf file."""
+    from dataclasses import replace
+
+    import svgf
+
+    from .command_line import make_scene
+
+    path = tmp_path_factory.mktemp("scenes") / "shard.svgf"
+    meshes = make_scene().meshes
+    svgf.save(path, (replace(make_scene(frame), meshes=meshes) for frame in range(1, 5)))
+    return path

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -18,82 +16,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import svgf
-from svgf.cli import app, sources
+from svgf.cli import sources
 from svgf.errors import InputError
 from svgf.frame_range import format_frames, parse_frames
 from svgf.framing import reframe
 from svgf.io import exr
-from svgf.scene import Camera, Instances, Light, LightKind, Material, Mesh, RenderDefaults, Scene, World
+from svgf.scene import Camera, RenderDefaults, Scene
 
-SMALL = ("--size", "16x9", "--device", "reference", "--bounces", "1")
-
-
-def make_scene(frame: int = 1) -> Scene:
-    """A lit floor with a glossy triangle on it that moves to the right."""
-    corners = np.array([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], np.float32)
-    floor = Mesh(
-        "Floor",
-        corners,
-        np.array([(0, 1, 2), (0, 2, 3)], np.int32),
-        np.zeros((2, 3, 3), np.float32),
-        np.zeros(2, np.int32),
-    )
-    shard = Mesh(
-        "Shard",
-        np.array([(-0.5, 0, 0.1), (0.5, 0, 0.1), (0, 0.5, 0.6)], np.float32),
-        np.array([(0, 1, 2)], np.int32),
-        np.zeros((1, 3, 3), np.float32),
-        np.zeros(1, np.int32),
-    )
-    now, before = np.stack([np.eye(3, 4)] * 2), np.stack([np.eye(3, 4)] * 2)
-    now[1, 0, 3], before[1, 0, 3] = 0.1 * frame, 0.1 * (frame - 1)
-    numbers = np.arange(2, dtype=np.int32)
-    above = np.array([(1.0, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 3)])
-    camera = Camera(above, (-0.6, 0.6, -0.3375, 0.3375))
-    return Scene(
-        meshes=(floor, shard),
-        instances=Instances(numbers, now, before, numbers + 1, numbers, numbers),
-        materials=(Material("Matte", specular_ior_level=0.0), Material("Glossy", roughness=0.3, metallic=1.0)),
-        camera=camera,
-        previous_camera=camera,
-        lights=(Light("Lamp", LightKind.POINT, (100.0, 90.0, 80.0), above + [0, 0, 0, 1.0], (0.2, 0.0)),),
-        world=World((0.1, 0.1, 0.2)),
-        frame=frame,
-        name="shard",
-        defaults=RenderDefaults(32, 18, bounces=2),
-        warnings=("Volumes are not simulated.",),
-    )
-
-
-@pytest.fixture(scope="session")
-def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scenes") / "shard.svgf"
-    base = make_scene()
-    scenes = (make_scene(frame) for frame in range(1, 5))
-    svgf.save(path, (replace(scene, meshes=base.meshes) for scene in scenes))
-    return path
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def assert_refused(result: Result, message: str) -> None:
-    """Exit code 2, nothing on standard output, and one line on standard error that holds the message."""
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    lines = [line for line in result.stderr.splitlines() if not line.startswith("Warning: ")]
-    assert len(lines) == 1 and lines[0].startswith("Error: "), result.stderr
-    assert re.search(message, lines[0]), lines[0]
-
-
-def assert_done(result: Result) -> str:
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
+from .command_line import SMALL, assert_done, assert_refused, make_scene, run
 
 # --- Frames and sizes ---
 
@@ -416,86 +348,6 @@ def test_doctor(scene_file: Path) -> None:
     assert result.exit_code == 2 and result.stderr.startswith("Error: Cannot read") and result.stderr.count("\n") == 1
 
 
-def test_bench_rays(tmp_path: Path, monkeypatch) -> None:
-    from svgf.bench import rays
-
-    monkeypatch.setattr(rays, "ROOMS", {"tiny": 2})
-    monkeypatch.setattr(rays, "UPDATED_ROOMS", {"tiny": 2})
-    csv_file, plot_file = tmp_path / "rays.csv", tmp_path / "rays.png"
-    assert_done(run("bench", "rays", *SMALL[:4], "--count", 1, "--csv", csv_file, "--plot", plot_file))
-    rows = list(csv.DictReader(csv_file.open()))
-    assert {row["what"] for row in rows if row["scene"] == "tiny"} >= {"primary", "bounce", "shadow", "build", "deform"}
-    assert all(float(row["milliseconds"]) > 0 for row in rows)
-    assert plot_file.read_bytes().startswith(b"\x89PNG")
-
-
-def test_bench_effects(scene_file: Path, tmp_path: Path) -> None:
-    csv_file, plot_file = tmp_path / "effects.csv", tmp_path / "effects.png"
-    assert_done(run("bench", "effects", scene_file, *SMALL, "--count", 1, "--csv", csv_file, "--plot", plot_file))
-    rows = list(csv.DictReader(csv_file.open()))
-    assert rows[-1]["what"] == "full kernel"
-    assert all(float(row["on_ms"]) > 0 and float(row["off_ms"]) > 0 for row in rows)
-    assert plot_file.read_bytes().startswith(b"\x89PNG")
-
-
-def test_bench_denoise(tmp_path: Path) -> None:
-    size = ("--size", "40x24", "--size", "64x36", "--count", 2, "--warm-up", 5)
-    files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.png")
-    report = json.loads(assert_done(run("bench", "denoise", "--device", "cpu", *size, *files, "--json")))
-    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
-    assert len(rows) == len(report["stages"])
-    assert {(row["width"], row["signals"]) for row in rows} == {("40", "1"), ("40", "2"), ("64", "1"), ("64", "2")}
-    for row in report["stages"]:
-        assert row["milliseconds"] > 0.0 and row["bytes"] >= 4 * row["width"] * row["height"]
-        assert row["bandwidth"] == pytest.approx(row["bytes"] / row["milliseconds"] / 1e6)
-    assert all(row["bytes_per_pixel"] * row["width"] * row["height"] == row["bytes"] for row in report["buffers"])
-    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
-    assert_refused(run("bench", "denoise", "--device", "reference", *size), "Use cuda or cpu")
-
-
-def test_bench_ablation(scene_file: Path, tmp_path: Path) -> None:
-    frames = ("--size", "16x9", "--device", "reference", "--frames", "1-4", "--first", 2, "--reference-spp", 4)
-    options = (*frames, "--method", "svgf", "--method", "none")
-    files = ("--csv", tmp_path / "a.csv", "--plot", tmp_path / "a.png")
-    rows = json.loads(assert_done(run("bench", "ablation", scene_file, *options, *files, "--json")))["rows"]
-    from svgf.bench.ablation import STEPS
-
-    assert [(row["method"], row["off"]) for row in rows] == [
-        ("svgf", "whole"), *(("svgf", off) for off in STEPS["svgf"]), ("none", "whole")
-    ]  # fmt: skip
-    assert all(row[name] >= 0.0 for row in rows for name in ("relmse", "flip", "flicker", "milliseconds"))
-    # What is off is off: without the filter only the temporal mean is left, which has more noise.
-    by_step = {row["off"]: row for row in rows if row["method"] == "svgf"}
-    assert by_step["a-trous"]["relmse"] != by_step["whole"]["relmse"]
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + len(rows)
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert_refused(run("bench", "ablation", scene_file, *options, "--method", "best"), "Choose one of none, eaw, svgf")
-
-
-def test_every_step_of_the_ablation_is_a_setting() -> None:
-    from svgf.bench.ablation import STEPS
-    from svgf.settings import METHODS, DenoiseSettings
-
-    assert set(STEPS) == set(METHODS)
-    for steps in STEPS.values():
-        for changes in steps.values():
-            assert DenoiseSettings(**changes) != DenoiseSettings()
-
-
-def test_bench_stages(scene_file: Path, tmp_path: Path) -> None:
-    arguments = ("bench", "stages", scene_file, scene_file, *SMALL, "--count", 3, "--warm-up", 1)
-    figures = json.loads(assert_done(run(*arguments, "--csv", tmp_path / "a.csv", "--json")))
-    assert figures["device"] == "reference" and figures["size"] == [16, 9]
-    rows = figures["stages"]
-    stages = [row["stage"] for row in rows if row["scene"] == "shard"]
-    assert stages[:3] == ["update", "gbuffer", "path"] and stages[-2:] == ["denoise, all", "whole frame"]
-    assert all(0 <= row["minimum"] <= row["median"] <= row["maximum"] and row["frames"] == 3 for row in rows)
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert lines[0] == "scene,stage,median,minimum,maximum,frames" and len(lines) == 1 + len(rows)
-    table = assert_done(run(*arguments))
-    assert "whole frame" in table and "reference" in table.splitlines()[0] and "16x9" in table.splitlines()[0]
-
-
 @pytest.fixture
 def shipped(scene_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "shipped_scenes", lambda: {"cornell": scene_file})
@@ -582,7 +434,7 @@ def test_render_and_bench_of_a_blend_file(exporter: list, blend_file: Path, tmp_
     figures = json.loads(
         assert_done(run("bench", "stages", blend_file, *SMALL, "--count", 2, "--warm-up", 0, "--json"))
     )
-    assert figures["stages"][0]["stage"] == "export" and figures["stages"][0]["frames"] == 1
+    assert figures["rows"][0]["stage"] == "export" and figures["rows"][0]["frames"] == 1
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,10 @@ SVGF_HD inline Vec3 decode_color(PackedColor packed) {
 }
 SVGF_HD inline float decode_deviation(PackedColor packed) { return decode_positive<8>(packed.high >> 14 & 0x7fffu); }
 
-// Unit vectors on an octahedron [Cigolle14], 2 x 16 bits: good to 1e-4 rad. The zero vector comes back as +z.
+// Unit vectors on an octahedron [Cigolle14], 2 x `bits`: 12 are good to 8e-4 rad. The zero vector comes back as +z.
+template <int bits>
 SVGF_HD inline uint32_t encode_normal(Vec3 n) {
+    constexpr float one = float((1 << (bits - 1)) - 1);
     const float scale = 1.0f / max(std::fabs(n.x) + std::fabs(n.y) + std::fabs(n.z), 1e-30f);
     float u = n.x * scale, v = n.y * scale;
     if (n.z < 0.0f) {
@@ -60,10 +62,13 @@ SVGF_HD inline uint32_t encode_normal(Vec3 n) {
         v = (1.0f - std::fabs(u)) * (v < 0.0f ? -1.0f : 1.0f);
         u = folded_u;
     }
-    return uint32_t(u * 32767.0f + 32767.5f) | uint32_t(v * 32767.0f + 32767.5f) << 16;
+    return uint32_t(u * one + (one + 0.5f)) | uint32_t(v * one + (one + 0.5f)) << bits;
 }
+template <int bits>
 SVGF_HD inline Vec3 decode_normal(uint32_t packed) {
-    float u = float(packed & 0xffffu) * (1.0f / 32767.0f) - 1.0f, v = float(packed >> 16) * (1.0f / 32767.0f) - 1.0f;
+    constexpr uint32_t mask = (1u << bits) - 1;
+    constexpr float one = float((1 << (bits - 1)) - 1);
+    float u = float(packed & mask) * (1.0f / one) - 1.0f, v = float(packed >> bits & mask) * (1.0f / one) - 1.0f;
     const float z = 1.0f - std::fabs(u) - std::fabs(v), fold = max(-z, 0.0f);
     u += u < 0.0f ? fold : -fold;
     v += v < 0.0f ? fold : -fold;

@@ -98,13 +98,15 @@ struct Atrous {
     };
 
     typename Storage::Guides guides;
+    typename Storage::Gradients gradients;
     Lattice lattice;
     float sigma_depth, sigma_normal, sigma_luminance;
     typename Storage::Color in_color[Signals];
     Sink sink;
 
     int bytes_per_pixel() const {
-        return Storage::guide_bytes + Signals * Storage::color_bytes + sink.sink_bytes_per_pixel();
+        return Storage::guide_bytes + Storage::gradient_bytes + Signals * Storage::color_bytes +
+               sink.sink_bytes_per_pixel();
     }
     int tile_columns() const { return lattice.tile_columns(); }
     int tile_rows() const { return lattice.tile_rows(); }
@@ -165,7 +167,7 @@ private:
         Vec4 sum[Signals];
 
         SVGF_HD Pixel(const Atrous& stage, const Tile& tile, int place, int x, int y)
-            : edge(tile.surface[place], stage.guides.gradient(stage.guides.pixel(x, y)), stage.sigma_depth,
+            : edge(tile.surface[place], stage.gradients[stage.guides.pixel(x, y)], stage.sigma_depth,
                    stage.sigma_normal) {
             const float step = float(1 << stage.lattice.level);
             SVGF_UNROLL

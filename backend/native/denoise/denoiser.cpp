@@ -116,21 +116,25 @@ void Denoiser::allocate(int signals) {
         }
     };
     const int color_bytes = signals * Storage::color_bytes;
-    need(guides_, Storage::guide_bytes, "guides");
+    constexpr bool plus = std::is_same_v<Storage, PackedStorage>;
+    const int guide_bytes = Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes);
+    need(guides_, guide_bytes, "guides");
     if (method_ != DenoiseMethod::svgf_plus) need(working_, color_bytes, "working colour");
     if (!is_temporal()) {
         if (method_ != DenoiseMethod::none) need(scratch_, color_bytes, "scratch colour");
         return;
     }
-    static_assert(max_signals * Storage::color_bytes <= Storage::guide_bytes);  // scratch
-    need(previous_guides_, Storage::guide_bytes, "previous guides");
+    // Previous guides become scratch: all of it, or the second signal's and the resolved colour.
+    static_assert((plus ? 1 : max_signals) * Storage::color_bytes <=
+                  Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes));
+    need(previous_guides_, guide_bytes, "previous guides");
     need(history_, color_bytes, "history");
     need(moments_, signals * Storage::moments_bytes, "moments");
     need(previous_moments_, signals * Storage::moments_bytes, "previous moments");
     if (method_ != DenoiseMethod::svgf_plus) return;
     need(next_history_, color_bytes, "next history");
+    static_assert(!plus || Storage::color_bytes == Storage::guide_bytes);  // they change places
     need(resolved_, Storage::color_bytes, "resolved colour");
-    need(previous_resolved_, Storage::color_bytes, "previous resolved colour");
 }
 
 template <class Storage>
@@ -139,13 +143,18 @@ typename Storage::Guides Denoiser::guides_of(Memory& memory) {
 }
 
 template <class Storage>
+typename Storage::Gradients Denoiser::gradients() {
+    return {borrowed_gradients_ ? borrowed_gradients_ : guides_.data() + pixels() * Storage::guide_bytes};
+}
+
+template <class Storage>
 typename Storage::Color Denoiser::color_of(Place place, int signal) {
-    if (place == Place::working && borrowed_[signal]) return {borrowed_[signal]};
-    Memory& memory = place == Place::working   ? working_
-                     : place == Place::history ? history_
-                     : place == Place::spare   ? next_history_
-                     : is_temporal()           ? previous_guides_
-                                               : scratch_;
+    if (place == Place::working && borrowed_working_[signal]) return {borrowed_working_[signal]};
+    Memory& memory = place == Place::working                     ? working_
+                     : place == Place::history                   ? history_
+                     : method_ == DenoiseMethod::svgf_plus       ? next_history_
+                     : is_temporal()                             ? previous_guides_
+                                                                 : scratch_;
     return {memory.data() + signal * pixels() * Storage::color_bytes};
 }
 
@@ -196,15 +205,15 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     traffic_.clear();
     repaired_.clear();
     if constexpr (std::is_same_v<Method, Plus>) {
-        borrowed_[0] = reinterpret_cast<std::byte*>(outputs.color);
-        borrowed_[1] = resolved_.data();
+        borrowed_working_[0] = reinterpret_cast<std::byte*>(outputs.color);
+        borrowed_working_[1] = previous_guides_.data();
+        borrowed_gradients_ = reinterpret_cast<std::byte*>(outputs.variance);
         run_plus<Signals>(inputs, outputs);
     } else {
-        for (std::byte*& memory : borrowed_) memory = nullptr;
         Place place = Place::working;
         const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
         if (is_temporal()) {
-            launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            launch("demodulate+temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
             variance<Method, Signals>();
             for (int level = 0; level < levels(); ++level) {
                 const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
@@ -232,58 +241,68 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
 template <int Signals>
 void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = Plus::Storage;
-    launch("demodulate", demodulate<Storage, Signals>(inputs));
-    temporal_plus<Signals>(inputs);
+    temporal_plus<Signals>(inputs, outputs.history_length);
     Place place = Place::history;
     const int last = levels() - 1;
-    // The last level writes into history and, without antialias, into working: it reads scratch.
+    const bool antialiases = settings_.antialias_frames > 1.0f;
+    // The last level writes into history and, for antialias, into scratch, else into the caller's image, which is
+    // working: it reads the other one.
+    const Place read_last = antialiases ? Place::working : Place::scratch;
+    const Place written_last = antialiases ? Place::scratch : Place::working;
     for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
-        const Place next = last == level || (last - level) % 2 ? Place::scratch : Place::working;
+        const Place next = last == level || (last - level) % 2 ? read_last : written_last;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
     auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
+    modulate_stage.out_history_length = nullptr;
     for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
-    const bool antialiases = settings_.antialias_frames > 1.0f;
     if (antialiases) {
         modulate_stage.out_color = nullptr;
-        modulate_stage.out_unresolved = color_of<Storage>(Place::spare, 0);
+        modulate_stage.out_unresolved = color_of<Storage>(written_last, 0);
     }
     if (last >= 1)
-        atrous<Plus, Signals>("atrous and modulate", last, place, modulate_stage);
+        atrous<Plus, Signals>("atrous+modulate", last, place, modulate_stage);
     else
         launch("modulate", modulate_stage);
-    if (antialiases) antialias<Signals>(inputs, outputs);
+    if (antialiases) antialias<Signals>(inputs, outputs.color);
     has_resolved_ = antialiases;
     moments_.swap(previous_moments_);
     guides_.swap(previous_guides_);
     has_history_ = true;
 }
 
+template <int Signals>
+NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
+    NoisyFrame<Signals> frame;
+    frame.width = width_;
+    frame.height = height_;
+    for (int s = 0; s < Signals; ++s) {
+        frame.in_signal[s] = inputs.signal[s];
+        for (int i = 0; i < 2; ++i) frame.in_albedo[s][i] = inputs.albedo[s][i];
+    }
+    frame.in_normal = inputs.normal;
+    frame.in_depth = inputs.depth;
+    frame.in_depth_gradient = inputs.depth_gradient;
+    frame.in_object_id = inputs.object_id;
+    return frame;
+}
+
 // The frame's guides; illumination in working.
 template <class Storage, int Signals>
 Demodulate<Storage, Signals> Denoiser::demodulate(const DenoiseInputs& inputs) {
     Demodulate<Storage, Signals> stage;
-    stage.width = width_;
-    stage.height = height_;
-    stage.in_normal = inputs.normal;
-    stage.in_depth = inputs.depth;
-    stage.in_depth_gradient = inputs.depth_gradient;
-    stage.in_object_id = inputs.object_id;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.out_guides = guides_of<Storage>(guides_);
+    stage.out_gradients = gradients<Storage>();
     stage.out_repaired = repaired_.data();
-    for (int s = 0; s < Signals; ++s) {
-        stage.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
-        stage.out_illumination[s] = color_of<Storage>(Place::working, s);
-    }
+    for (int s = 0; s < Signals; ++s) stage.out_illumination[s] = color_of<Storage>(Place::working, s);
     return stage;
 }
 
 template <class Storage>
 Reprojection<Storage> Denoiser::reprojection(const DenoiseInputs& inputs) {
     Reprojection<Storage> result;
-    result.guides = guides_of<Storage>(guides_);
     if (has_history_) result.prev_guides = guides_of<Storage>(previous_guides_);
     result.in_motion = inputs.motion;
     result.motion_channels = inputs.motion_channels;
@@ -296,6 +315,8 @@ Reprojection<Storage> Denoiser::reprojection(const DenoiseInputs& inputs) {
 template <class Storage, int Signals>
 Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     Temporal<Storage, Signals> stage;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
     stage.reprojection = reprojection<Storage>(inputs);
     stage.alpha = settings_.alpha;
     stage.alpha_moments = settings_.alpha_moments;
@@ -309,14 +330,21 @@ Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     return stage;
 }
 
-// From working and history to the next history, which then takes history's place; that of the frame before is spare.
+// From the inputs and history to the guides and the next history, which then takes history's place; that of the frame
+// before becomes scratch.
 template <int Signals>
-void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
+void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length) {
     using Storage = Plus::Storage;
     fireflies_.clear();
     TemporalPlus<Storage, Signals> stage;
+    stage.image_width = width_;
+    stage.image_height = height_;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.reprojection = reprojection<Storage>(inputs);
-    stage.history_frames = settings_.history_frames;
+    stage.out_guides = guides_of<Storage>(guides_);
+    stage.out_gradients = gradients<Storage>();
+    stage.out_history_length = history_length;
+    stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
@@ -325,37 +353,36 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
         stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
         stage.variance_scale[s] = square(sharper);
-        stage.in_illumination[s] = color_of<Storage>(Place::working, s);
         stage.hist_color[s] = color_of<Storage>(Place::history, s);
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
-        stage.out_color[s] = color_of<Storage>(Place::spare, s);
+        stage.out_color[s] = color_of<Storage>(Place::scratch, s);
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    launch("temporal", stage);
+    launch_tiles("demodulate+temporal", stage);
     history_.swap(next_history_);
 }
 
+// From scratch to the caller's image and, in place of the guides of the frame before, the next resolved colour.
 template <int Signals>
-void Denoiser::antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
+void Denoiser::antialias(const DenoiseInputs& inputs, float* color) {
     using Storage = Plus::Storage;
     Antialias<Storage, Signals> stage;
+    stage.image_width = width_;
+    stage.image_height = height_;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.guides = guides_of<Storage>(guides_);
-    stage.in_color = color_of<Storage>(Place::spare, 0);
-    stage.hist_color = {previous_resolved_.data()};
+    stage.in_color = color_of<Storage>(Place::scratch, 0);
+    stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
-    for (int s = 0; s < Signals; ++s) {
-        stage.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
-        stage.in_moments[s] = moments_of<Storage>(moments_, s);
-    }
+    for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
-    stage.out_history = {resolved_.data()};
-    stage.out_color = outputs.color;
-    launch("antialias", stage);
-    resolved_.swap(previous_resolved_);
+    stage.out_history = {previous_guides_.data()};
+    stage.out_color = color;
+    launch_tiles("antialias", stage);
+    resolved_.swap(previous_guides_);
 }
 
 // In place: only the variance of working changes, and no other pixel reads it.
@@ -364,6 +391,7 @@ void Denoiser::variance() {
     using Storage = typename Method::Storage;
     Variance<Method, Signals> stage;
     stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
     stage.sigma_depth = settings_.sigma_depth;
     stage.sigma_normal = settings_.sigma_normal;
     stage.spatial_variance_frames = settings_.spatial_variance_frames;
@@ -380,6 +408,7 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
     const auto launch = [&]<int PhasesLog2>() {
         Atrous<Method, Signals, PhasesLog2, Sink> stage;
         stage.guides = guides_of<Storage>(guides_);
+        stage.gradients = gradients<Storage>();
         stage.lattice = {level, width_, height_};
         stage.sigma_depth = settings_.sigma_depth;
         constexpr bool plus = std::is_same_v<Method, Plus>;
@@ -454,7 +483,6 @@ std::vector<BufferInfo> Denoiser::buffers() const {
     add("moments", moments_);
     add("previous moments", previous_moments_);
     add("resolved colour", resolved_);
-    add("previous resolved colour", previous_resolved_);
     add("repair counter", repaired_);
     add("firefly counter", fireflies_);
     return list;

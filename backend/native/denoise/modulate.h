@@ -18,12 +18,12 @@ struct Modulate {
     typename Storage::Color out_unresolved;
     typename Storage::Color out_filtered_light[Signals];  // svgf+: see temporal_plus.h; null: not wanted
     float* out_variance;        // [H, W] of luminance, signals taken as independent
-    float* out_history_length;  // [H, W] frames
+    float* out_history_length;  // [H, W] frames; null: temporal has written it
     int* out_repaired;
 
-    int bytes_per_pixel() const { return sink_bytes_per_pixel() + Signals * Storage::color_bytes + 4; }
+    int bytes_per_pixel() const { return sink_bytes_per_pixel() + Signals * Storage::color_bytes; }
     int sink_bytes_per_pixel() const {
-        int bytes = (in_emission ? 12 : 0) + (out_color ? 12 : Storage::color_bytes) + 4 + 4;
+        int bytes = (in_emission ? 12 : 0) + (out_color ? 12 : Storage::color_bytes) + 4 + (out_history_length ? 8 : 0);
         for (int s = 0; s < Signals; ++s) bytes += (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0);
         return bytes;
     }
@@ -55,8 +55,15 @@ struct Modulate {
             out_unresolved.store(pixel, {color.x, color.y, color.z, 0.0f});
         }
         out_variance[pixel] = min(variance, largest_float);
-        out_history_length[pixel] = has_length ? guides.length(pixel) : is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
+        if (out_history_length) out_history_length[pixel] = history_length(pixel);
         count(out_repaired, repaired);
+    }
+
+private:
+    SVGF_HD float history_length(int pixel) const {
+        if constexpr (requires { guides.length(pixel); })
+            if (has_length) return guides.length(pixel);
+        return is_surface(guides.depth(pixel)) ? 1.0f : 0.0f;
     }
 };
 

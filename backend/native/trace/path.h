@@ -27,6 +27,7 @@ constexpr int roulette_start = 3;
 struct Gathered {
     Vec3 emission, first, second;
     float alpha = 1;
+    float hit_distance = 0;  // see Tracer::trace
 };
 
 // What a path carries from one vertex to the next.
@@ -39,8 +40,11 @@ struct Path {
     float smallest_pdf = infinity;  // of those so far
     int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
     int transparent_bounces = 0;  // these are not among the bounces
+    int links = 0;                // bounces along the chain of trace/specular_chain.h
+    bool on_chain = true;         // all bounces so far are; without a chain there are none
     bool delta = true;
     bool ends = false;  // the ray only looks for light
+    bool measures_distance = false;  // the ray left the seen surface by a specular lobe
 };
 
 // Light that arrives as far as its way is free.
@@ -49,6 +53,7 @@ struct ShadowRay {
     Vec3 light;  // all zero: there is none
     Vec3 diffuse_share;
     int bounces = 0;   // between the camera and the light
+    int links = 0;     // of these, along the chain
     int surfaces = 0;  // that it may pass straight at most
 
     SVGF_HD bool exists() const { return max_component(light) > 0.0f; }
@@ -62,6 +67,15 @@ struct PathVertices {
     bool transparent_film;
     bool splits_direct;  // signals: direct and indirect, else diffuse and specular
     bool two_signals;    // else the first one gets all
+    bool follows_chains;          // the G-buffer is of what is seen in mirrors and through glass
+    const Vec3* in_chain_light;   // what it holds of the pixels' light; null: nothing
+
+    // Of a pixel's light what is known before its path starts.
+    SVGF_HD Gathered start(int pixel) const {
+        Gathered light;
+        if (in_chain_light) light.emission = in_chain_light[pixel];
+        return light;
+    }
 
     // Where the ray of a path ends.
     SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
@@ -69,8 +83,9 @@ struct PathVertices {
     }
 
     // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
-    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
-        if (crosses_finite_lamp(ray))
+    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                              bool measures_distance) const {
+        if (measures_distance || crosses_finite_lamp(ray))
             return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
         return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
@@ -79,15 +94,17 @@ struct PathVertices {
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow) const {
         Ray& ray = path.ray;
+        const bool is_known = in_chain_light && path.on_chain && path.links > 0;
         path.transparent_bounces += hit.passed;
-        if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
+        if (!is_known && (scene.lights.sized_lamps_seen_by & ray.kind)) add_lamps(path, hit, light);
         if (!hit.found()) {
-            add_world(path, light);
+            if (path.measures_distance) light.hit_distance = background_depth;
+            if (!is_known) add_world(path, light);
             return false;
         }
-        if (path.ends && scene.last_hits_are_dark) return false;
+        if (path.ends && scene.last_hits_are_dark && !path.measures_distance) return false;
         Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
-        if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
+        if (!is_known && max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
             if (path.transparent_bounces >= max(limits.transparent_bounces, 1)) return false;
@@ -98,6 +115,10 @@ struct PathVertices {
                 ray.t_min = hit.t;
                 return true;
             }
+        }
+        if constexpr (covers(kernel, Effects::specular)) {
+            if (path.measures_distance) light.hit_distance = hit.t;
+            path.measures_distance = false;
         }
         if (path.ends) return false;
 
@@ -113,7 +134,7 @@ struct PathVertices {
 
         BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
-        if (path.bounces == 0) path.diffuse_share = share_of(next.weight);
+        if (path.on_chain) leave_or_follow_chain(path, bsdf, next);
         path.throughput *= next.weight.total();
         if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return false;
         count_bounce(path, next);
@@ -125,7 +146,8 @@ struct PathVertices {
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
         const Vec3 share = find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces);
-        if (max_component(share) > 0.0f) add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces);
+        if (max_component(share) > 0.0f)
+            add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
 private:
@@ -135,6 +157,23 @@ private:
     // Surfaces that a path may still pass. One may always be passed.
     SVGF_HD int allowed(int transparent_bounces) const {
         return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
+
+    // At a surface of the chain. The first one that does not go on with it is what the pixel sees.
+    SVGF_HD void leave_or_follow_chain(Path& path, const Bsdf<kernel>& bsdf, const BsdfSample& next) const {
+        BsdfEvent chain_event = BsdfEvent::none;
+        if constexpr (covers(kernel, Effects::specular))
+            if (follows_chains) chain_event = bsdf.find_smooth_bounce().event;
+        const bool goes_on =
+            may_follow(limits, chain_event, path.links, path.glossy_bounces, path.transmission_bounces);
+        path.on_chain = goes_on && next.delta && next.event == chain_event;
+        if (path.on_chain) {
+            ++path.links;
+            return;
+        }
+        path.diffuse_share = share_of(next.weight);
+        path.measures_distance =
+            !goes_on && next.event != BsdfEvent::diffuse && max_component(next.weight.specular) > 0.0f;
     }
 
     // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
@@ -187,14 +226,12 @@ private:
         return {1, 1, 1};
     }
 
-    // bounces: between the camera and the light. A value that is not finite is dropped.
-    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces) const {
+    // bounces: between the camera and the light; links: those that lead to the seen surface. A value that is not finite
+    // is dropped.
+    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces, int links) const {
         if (!is_finite(value)) return;
-        if constexpr (has_limits) {
-            const float limit = 3.0f * (bounces > 1 ? limits.clamp_indirect : limits.clamp_direct);
-            const float sum = value.x + value.y + value.z;
-            if (limit > 0.0f && sum > limit) value *= limit / sum;
-        }
+        if constexpr (has_limits) value = limits.clamped(value, bounces);
+        bounces -= links;
         if (bounces == 0) {
             light.emission += value;
         } else if (splits_direct) {
@@ -212,7 +249,7 @@ private:
     template <class LightPdf>
     SVGF_HD void add_found(Gathered& light, const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
         const float weight = path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf());
-        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces);
+        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces, path.links);
     }
 
     // Lamps stop no ray: all that are crossed before the hit shine.
@@ -256,7 +293,7 @@ private:
                                : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
             });
         } else {
-            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces);
+            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces, path.links);
         }
     }
 
@@ -292,8 +329,9 @@ private:
             shadow.ray.t_max = shadow_ray_end;
         }
         shadow.light = arriving;
-        shadow.diffuse_share = path.bounces == 0 ? share_of(value) : path.diffuse_share;
+        shadow.diffuse_share = path.on_chain ? share_of(value) : path.diffuse_share;
         shadow.bounces = path.bounces + 1;
+        shadow.links = path.links;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
     }
 };
@@ -306,12 +344,14 @@ struct RadianceImages {
     Vec3* out_first_signal;
     Vec3* out_second_signal;  // null: the first one gets all
     float* out_alpha;         // null: the film is not transparent
+    float* out_hit_distance;  // of the first sample; null: nothing is specular
 
     SVGF_HD void add(int pixel, const Gathered& light) const {
         accumulate(out_emission[pixel], light.emission);
         accumulate(out_first_signal[pixel], light.first);
         if (out_second_signal) accumulate(out_second_signal[pixel], light.second);
         if (out_alpha) accumulate(out_alpha[pixel], light.alpha);
+        if (out_hit_distance && first_of_frame) out_hit_distance[pixel] = light.hit_distance;
     }
 
 private:
@@ -336,13 +376,14 @@ struct PathStage {
         const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light;
+        Gathered light = vertices.start(pixel);
         for (int vertex = 0;; ++vertex) {
             Hit hit;
             if (vertex == 0 && in_hit)
                 hit = in_hit[pixel];
             else if (path.ends && vertices.scene.last_hits_are_dark)
-                hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces);
+                hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces,
+                                             path.measures_distance);
             else
                 hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;

@@ -30,8 +30,8 @@ struct alignas(16) PathRecord {
     std::uint32_t bounces;          // and above bit 16 transparent_bounces
     std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
     std::uint32_t transmission_bounces;
-    std::uint32_t kind_and_flags;  // bit 30: delta, bit 31: ends
-    std::uint32_t unused;
+    std::uint32_t kind_and_flags;  // bit 28: on_chain, 29: measures_distance, 30: delta, 31: ends
+    std::int32_t links;
 
     PathRecord() = default;
     SVGF_HD explicit PathRecord(const Path& path)
@@ -41,10 +41,13 @@ struct alignas(16) PathRecord {
           bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
           diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
           transmission_bounces(std::uint32_t(path.transmission_bounces)),
-          kind_and_flags(path.ray.kind | (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)), unused(0) {}
+          kind_and_flags(path.ray.kind | (path.on_chain ? 1u << 28 : 0u) | (path.measures_distance ? 1u << 29 : 0u) |
+                         (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)),
+          links(path.links) {}
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
     SVGF_HD int transparent_bounces() const { return int(bounces >> 16); }
+    SVGF_HD bool measures_distance() const { return (kind_and_flags >> 29 & 1u) != 0; }
     SVGF_HD Path path() const {
         Path path;
         path.ray = ray();
@@ -58,6 +61,9 @@ struct alignas(16) PathRecord {
         path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
+        path.links = links;
+        path.on_chain = (kind_and_flags >> 28 & 1u) != 0;
+        path.measures_distance = measures_distance();
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
         path.ends = kind_and_flags >> 31 != 0;
         return path;
@@ -71,26 +77,26 @@ struct alignas(16) ShadowRecord {
     Vec3 light;
     std::int32_t surfaces;
     Vec3 diffuse_share;
-    float unused;
+    std::int32_t links;
 
     SVGF_HD ShadowRay shadow() const {
-        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, surfaces};
+        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, links, surfaces};
     }
 };
 struct alignas(16) GatheredRecord {
     Vec3 emission;
     float alpha;
     Vec3 first;
-    float unused0;
+    float hit_distance;
     Vec3 second;
-    float unused1;
+    float unused;
 
     GatheredRecord() = default;
     SVGF_HD explicit GatheredRecord(const Gathered& light)
-        : emission(light.emission), alpha(light.alpha), first(light.first), unused0(0), second(light.second),
-          unused1(0) {}
+        : emission(light.emission), alpha(light.alpha), first(light.first), hit_distance(light.hit_distance),
+          second(light.second), unused(0) {}
 
-    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha}; }
+    SVGF_HD Gathered gathered() const { return {emission, first, second, alpha, hit_distance}; }
 };
 
 // Pixels that a launch works on, in any order.
@@ -139,7 +145,8 @@ struct LastExtendStage : ExtendStage<kernel> {
         const PathRecord& path = this->memory.paths[pixel];
         const Sampler sampler(pixel, this->seed, this->sample);
         store(this->memory.hits + pixel,
-              this->vertices.find_last_hit(sampler, this->vertex, path.ray(), path.transparent_bounces()));
+              this->vertices.find_last_hit(sampler, this->vertex, path.ray(), path.transparent_bounces(),
+                                           path.measures_distance()));
     }
 };
 
@@ -154,7 +161,7 @@ SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memor
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
     if (shadow.exists())
         store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
-                                       shadow.light, shadow.surfaces, shadow.diffuse_share, 0});
+                                       shadow.light, shadow.surfaces, shadow.diffuse_share, shadow.links});
     out_paths.push_if(goes_on, pixel);
     out_shadows.push_if(shadow.exists(), pixel);
 }
@@ -197,7 +204,7 @@ struct FirstShadeStage {
         const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light;
+        Gathered light = vertices.start(pixel);
         shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out_paths, out_shadows);
     }
 };

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..light_paths import LightPaths
 from ..scene import RayVisibility
+from .bsdf import NONE, TRANSMISSION
 from .camera import Camera
 from .intersect import Hits
 from .opacity import find_path_hits, surface_choice
@@ -17,6 +19,8 @@ BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
 # Motion, in pixels, of what was behind the previous camera: reprojects to nowhere.
 NO_MOTION = 1e6
+# Links of a chain of mirrors and bends at most, see specular_chain.py.
+LONGEST_CHAIN = 8
 
 
 @dataclass
@@ -119,6 +123,16 @@ def _see_through(
         hits.set_rows(rows, behind)
         rows = rows[behind.found]
     return hits, choice, tint
+
+
+def may_follow(
+    event: np.ndarray, bounces: int, limits: LightPaths, reflections: np.ndarray, refractions: np.ndarray
+) -> np.ndarray:
+    """bool [n]: whether chains of so many links have another one. event: of smooth_bounce."""
+    refracts = event == TRANSMISSION
+    made = np.where(refracts, refractions, reflections)
+    allowed = np.where(refracts, limits.transmission_bounces, limits.glossy_bounces)
+    return (event != NONE) & (reflections + refractions < min(bounces, LONGEST_CHAIN)) & (made < allowed)
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

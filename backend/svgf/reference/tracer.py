@@ -17,6 +17,7 @@ from .lights import Lights
 from .opacity import find_path_hits
 from .path import Signals, trace_paths
 from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
+from .specular_chain import replace_smooth_surfaces
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -101,8 +102,9 @@ class Tracer:
         sample: running number of the first one, >= 0. bounces: 0 is direct light only. effects: bits of Effects.
         pixel_filter: "box" or "center". signals: "diffuse_specular" (the second one only with SPECULAR) or
         "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
-        seen by the camera, and there is an image "alpha". "specular_albedo" is there only with SPECULAR, "motion"
-        only with an effect that moves something. kernel: of no account here, there is only one.
+        seen by the camera, and there is an image "alpha". "hit_distance", of the first sample: in metres from the seen
+        surface to what its specular lobes' ray hit next, 1e10 for the world, 0 where the path took no such ray. This
+        and "specular_albedo" are there only with SPECULAR, "motion" only with an effect that moves something. kernel: of no account here, there is only one.
         """
         camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
             self._camera_rows
@@ -116,6 +118,8 @@ class Tracer:
         limits = LightPaths(*light_paths)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
+        smooth = Effects.SPECULAR | Effects.PERFECT_SPECULAR
+        has_chains = Effects(effects) & smooth == smooth
         radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR), limits, transparent_film)
         for number in range(sample, sample + samples):
             with self._device.stage("gbuffer"):
@@ -130,17 +134,27 @@ class Tracer:
                 kind = np.full(len(far), int(RayVisibility.CAMERA))
                 allowed = np.full(len(far), max(limits.transparent_bounces, 1))
                 hits, passed = find_path_hits(scene, keys, number, 0, origin, direction, near, far, kind, allowed)
+                chain_light = None
                 if not images:
                     primary = PrimaryRays(point, origin, direction, far, keys, number)
                     images = trace_gbuffer(
                         scene, camera, previous_camera, primary, hits, passed, limits.transparent_bounces
                     )
+                    if has_chains:
+                        chain_light = replace_smooth_surfaces(
+                            scene, camera, previous_camera, primary, hits, passed, bounces, limits, images
+                        )
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits, passed)
+                trace_paths(
+                    scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits, passed,
+                    has_chains, chain_light,
+                )  # fmt: skip
+                images.setdefault("hit_distance", radiance.hit_distance.copy())
         if not Effects(effects) & Effects.SPECULAR:
-            del images["specular_albedo"]
+            del images["specular_albedo"], images["hit_distance"]
         if not Effects(effects) & MOTION_EFFECTS:
-            del images["motion"]
+            for name in ("motion", "first_motion"):
+                images.pop(name, None)
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
 

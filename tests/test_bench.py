@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``svgf bench``: every command at a few pixels, its table, JSON, CSV and plot."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from .command_line import SMALL, assert_done, assert_refused, run
+
+
+def test_bench_rays(tmp_path: Path, monkeypatch) -> None:
+    from svgf.bench import rays
+
+    monkeypatch.setattr(rays, "ROOMS", {"tiny": 2})
+    monkeypatch.setattr(rays, "UPDATED_ROOMS", {"tiny": 2})
+    csv_file, plot_file = tmp_path / "rays.csv", tmp_path / "rays.png"
+    assert_done(run("bench", "rays", *SMALL[:4], "--count", 1, "--csv", csv_file, "--plot", plot_file))
+    rows = list(csv.DictReader(csv_file.open()))
+    assert {row["what"] for row in rows if row["scene"] == "tiny"} >= {"primary", "bounce", "shadow", "build", "deform"}
+    assert all(float(row["milliseconds"]) > 0 for row in rows)
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_bench_effects(scene_file: Path, tmp_path: Path) -> None:
+    csv_file, plot_file = tmp_path / "effects.csv", tmp_path / "effects.png"
+    assert_done(run("bench", "effects", scene_file, *SMALL, "--count", 1, "--csv", csv_file, "--plot", plot_file))
+    rows = list(csv.DictReader(csv_file.open()))
+    assert rows[-1]["what"] == "full kernel"
+    assert all(float(row["on_ms"]) > 0 and float(row["off_ms"]) > 0 for row in rows)
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_bench_denoise(tmp_path: Path) -> None:
+    size = ("--size", "40x24", "--size", "64x36", "--count", 2, "--warm-up", 5)
+    files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.png")
+    report = json.loads(assert_done(run("bench", "denoise", "--device", "cpu", *size, *files, "--json")))
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    assert len(rows) == len(report["rows"])
+    assert {(row["width"], row["signals"]) for row in rows} == {("40", "1"), ("40", "2"), ("64", "1"), ("64", "2")}
+    for row in report["rows"]:
+        assert row["milliseconds"] > 0.0 and row["bytes"] >= 4 * row["width"] * row["height"]
+        assert row["bandwidth"] == pytest.approx(row["bytes"] / row["milliseconds"] / 1e6)
+    assert all(row["bytes_per_pixel"] * row["width"] * row["height"] == row["bytes"] for row in report["buffers"])
+    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
+    assert_refused(run("bench", "denoise", "--device", "reference", *size), "Use cuda or cpu")
+
+
+def test_bench_ablation(scene_file: Path, tmp_path: Path) -> None:
+    frames = ("--size", "16x9", "--device", "reference", "--frames", "1-4", "--first", 2, "--reference-spp", 4)
+    options = (*frames, "--method", "svgf", "--method", "none")
+    files = ("--csv", tmp_path / "a.csv", "--plot", tmp_path / "a.png")
+    rows = json.loads(assert_done(run("bench", "ablation", scene_file, *options, *files, "--json")))["rows"]
+    from svgf.bench.ablation import STEPS
+
+    assert [(row["method"], row["off"]) for row in rows] == [
+        ("svgf", "whole"), *(("svgf", off) for off in STEPS["svgf"]), ("none", "whole")
+    ]  # fmt: skip
+    assert all(row[name] >= 0.0 for row in rows for name in ("relmse", "flip", "flicker", "milliseconds"))
+    # What is off is off: without the filter only the temporal mean is left, which has more noise.
+    by_step = {row["off"]: row for row in rows if row["method"] == "svgf"}
+    assert by_step["a-trous"]["relmse"] != by_step["whole"]["relmse"]
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + len(rows)
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert_refused(run("bench", "ablation", scene_file, *options, "--method", "best"), "Choose one of none, eaw, svgf")
+
+
+def test_every_step_of_the_ablation_is_a_setting() -> None:
+    from svgf.bench.ablation import STEPS
+    from svgf.settings import METHODS, DenoiseSettings
+
+    assert set(STEPS) == set(METHODS)
+    for steps in STEPS.values():
+        for changes in steps.values():
+            assert DenoiseSettings(**changes) != DenoiseSettings()
+
+
+def test_bench_stages(scene_file: Path, tmp_path: Path) -> None:
+    arguments = ("bench", "stages", scene_file, scene_file, *SMALL, "--count", 3, "--warm-up", 1)
+    figures = json.loads(assert_done(run(*arguments, "--csv", tmp_path / "a.csv", "--json")))
+    assert "(reference), 16x9" in figures["title"]
+    rows = figures["rows"]
+    stages = [row["stage"] for row in rows if row["scene"] == "shard"]
+    assert stages[:3] == ["update", "gbuffer", "path"] and stages[-2:] == ["denoise, all", "whole frame"]
+    assert all(0 <= row["minimum"] <= row["median"] <= row["maximum"] and row["frames"] == 3 for row in rows)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert lines[0] == "scene,stage,median,minimum,maximum,frames" and len(lines) == 1 + len(rows)
+    table = assert_done(run(*arguments))
+    assert "whole frame" in table and "reference" in table.splitlines()[0] and "16x9" in table.splitlines()[0]
+
+
+def test_bench_resolution(scene_file: Path, tmp_path: Path) -> None:
+    sizes = ("--size", "16x9", "--size", "32x18", "--device", "reference", "--count", 1, "--warm-up", 1)
+    files = ("--csv", tmp_path / "r.csv", "--plot", tmp_path / "r.png")
+    rows = json.loads(assert_done(run("bench", "resolution", scene_file, *sizes, *files, "--json")))["rows"]
+    assert [(row["width"], row["height"]) for row in rows] == [(16, 9), (32, 18)]
+    assert all(0.0 < row["trace"] and 0.0 < row["denoise"] < row["whole"] for row in rows)
+    assert len(list(csv.DictReader((tmp_path / "r.csv").open()))) == 2
+    assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+    assert "32x18" in assert_done(run("bench", "resolution", scene_file, *sizes))
