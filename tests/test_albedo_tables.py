@@ -7,6 +7,7 @@ import pytest
 from svgf.albedo import SHAPES, albedo_tables
 from svgf.reference.albedo import (
     dielectric_at,
+    dielectric_share,
     energy_at,
     glass_at,
     ior_coordinate,
@@ -39,6 +40,14 @@ def test_lookups_against_their_definitions(name, roughness, cosine):
     }[name]()
     z = np.array([ior_coordinate(ior)]) if SHAPES[name][0] > 1 else 0.0
     assert lookup(name, np.array([roughness]), np.array([cosine]), z)[0] == pytest.approx(exact, abs=0.006)
+
+
+@pytest.mark.parametrize("roughness, cosine", [*POINTS, (0.14, 0.91), (0.2, 0.97), (0.08, 0.7)])
+@pytest.mark.parametrize("ior", [1.1, 1.45, 2.8])
+def test_rough_total_reflection_against_its_definition(roughness, cosine, ior):
+    """The edge at the critical angle is sharp where roughness is low; what is left is the table's step along IOR."""
+    found = dielectric_share(np.array([roughness]), np.array([cosine]), np.array([1 / ior]))[0]
+    assert found == pytest.approx(dielectric_at(roughness, cosine, 1 / ior, 200), abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["energy", "glass_entering", "glass_leaving"])

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels are compiled for fewer effects or for all: which one runs changes no bit of the image."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from svgf.bench import effects as effects_bench
 from svgf.effects import Effects, find_effects
+from svgf.flatten import flatten
 
 from . import scenes
 from .tracing import trace
@@ -37,6 +40,13 @@ def test_every_kernel_that_covers_a_scene_gives_the_same_bits(device, name):
 def test_the_scenes_reach_every_kernel(device):
     """Else the comparison above compares nothing."""
     assert {device.kernel_for(find_effects(scene)) for scene in SCENES.values()} == set(device.kernels)
+
+
+def test_every_effect_can_be_left_out():
+    assert set(effects_bench.WITHOUT) == set(Effects) - {Effects.MANY_LIGHTS}
+    many = SCENES["many_lights"]
+    assert Effects.MANY_LIGHTS in flatten(many).effects
+    assert Effects.MANY_LIGHTS not in flatten(many, smallest_light_tree=sys.maxsize).effects
 
 
 FOUND = [effect for effect in effects_bench.WITHOUT if any(effect in find_effects(scene) for scene in SCENES.values())]

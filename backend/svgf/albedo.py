@@ -21,6 +21,8 @@ FILE = Path(__file__).parent / "albedo_tables.npy"
 # mean_energy: the same for light from everywhere.
 # schlick: s, where the mean of Schlick's Fresnel term over the lobe is f0 + (f90 - f0) s.
 # dielectric: s, where the mean Fresnel reflectance over the lobe is f0 + (1 - f0) s.
+# dielectric_leaving: the same of an interface to a less dense side, a mirror beyond its critical angle. That angle lies
+# in the middle of its axis of cosines, whose steps are fine there: else what is missed between entries is 0.25.
 # glass_entering, glass_leaving: energy of reflection and refraction together, into and out of the denser side.
 # mean_glass_entering, mean_glass_leaving: the same for light from everywhere.
 # sheen: of the lobe of Blender's sheen [Zeltner22]. Measured in Cycles 5.0, whose samples of it all weigh the same in a
@@ -30,6 +32,7 @@ SHAPES = {
     "mean_energy": (1, 1, 32),
     "schlick": (1, 16, 16),
     "dielectric": (16, 16, 16),
+    "dielectric_leaving": (16, 17, 16),
     "glass_entering": (16, 16, 16),
     "glass_leaving": (16, 16, 16),
     "mean_glass_entering": (16, 1, 16),

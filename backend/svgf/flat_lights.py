@@ -10,7 +10,7 @@ import numpy as np
 
 from .effects import instances_by_mesh
 from .environment import linear_pixels, mean_radiance, sampling_map
-from .light_tree import SMALLEST_TREE, LightBounds, build_light_tree
+from .light_tree import LightBounds, build_light_tree
 from .scene import Light, LightKind, Mesh, Scene, TextureMap
 
 # light_kind after those of LightKind
@@ -46,7 +46,12 @@ class _Rows:
 
 
 def flatten_lights(
-    scene: Scene, instances: dict[str, np.ndarray], emission: Emission, origin: np.ndarray, extent: float
+    scene: Scene,
+    instances: dict[str, np.ndarray],
+    emission: Emission,
+    origin: np.ndarray,
+    extent: float,
+    smallest_tree: int,
 ) -> dict[str, Any]:
     """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances."""
     lamps = _lamps(scene.lights, origin, extent)
@@ -66,7 +71,7 @@ def flatten_lights(
         "light_kind": kind,
         "light_data": data,
         "light_visibility": visibility,
-        **_choice(kind, data, weight, everywhere),
+        **_choice(kind, data, weight, everywhere, smallest_tree),
         "emission_map": emission_map,
         **emitters,
         "row_cdf": row_cdf,
@@ -78,13 +83,15 @@ def _chosen(rows: _Rows, chosen: np.ndarray) -> _Rows:
     return _Rows(*(values[chosen] for values in vars(rows).values()))
 
 
-def _choice(kind: np.ndarray, data: np.ndarray, weight: np.ndarray, everywhere: int) -> dict[str, np.ndarray]:
+def _choice(
+    kind: np.ndarray, data: np.ndarray, weight: np.ndarray, everywhere: int, smallest_tree: int
+) -> dict[str, np.ndarray]:
     """everywhere: how many of the first lights are suns or the environment."""
     total = weight.sum()
     nodes, light_of_leaf = np.zeros((0, 12)), np.zeros(0, dtype=np.int32)
     share = weight / total if total > 0.0 else weight
     intervals, probability = share, share
-    if len(weight) - everywhere >= SMALLEST_TREE:
+    if len(weight) - everywhere >= smallest_tree:
         nodes, light_of_leaf = build_light_tree(_bounds(kind[everywhere:], data[everywhere:], weight[everywhere:]))
         light_of_leaf[light_of_leaf >= 0] += everywhere
         intervals = np.append(share[:everywhere], share[everywhere:].sum())

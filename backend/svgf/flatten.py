@@ -15,6 +15,7 @@ import numpy as np
 
 from .effects import Effects, find_effects
 from .flat_lights import ENVIRONMENT, Emission, flatten_lights
+from .light_tree import SMALLEST_TREE
 from .scene import (
     MATERIAL_INPUTS,
     Camera,
@@ -207,10 +208,11 @@ class FlatScene:
         return int(found[0]) if len(found) else -1
 
 
-def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
+def flatten(scene: Scene, previous: FlatScene | None = None, smallest_light_tree: int = SMALLEST_TREE) -> FlatScene:
     """Flatten one frame. Arrays that would come out the same are ``previous``' own (``is``), so that a caller can tell
     what changed.
 
+    smallest_light_tree: fewer lights than these, of those that have a place, are chosen by their power alone.
     Instances that cannot be inverted (a scale of zero, a NaN) are left out, with a warning.
     """
     same_meshes = previous is not None and _same_items(scene.meshes, previous.meshes)
@@ -236,7 +238,7 @@ def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
     else:
         emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
         emission = Emission(*_with_emission_maps(scene.materials, emission))
-        light_arrays = flatten_lights(scene, instance_arrays, emission, origin, extent)
+        light_arrays = flatten_lights(scene, instance_arrays, emission, origin, extent, smallest_light_tree)
     effects = find_effects(scene)
     if len(light_arrays["light_tree"]):
         effects |= Effects.MANY_LIGHTS

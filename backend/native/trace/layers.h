@@ -67,8 +67,7 @@ struct Layers {
                 const float energy = look_up_albedo(tables, energy_table, roughness, cos_view);
                 const float factor = given_back(energy, look_up_albedo(tables, mean_energy_table, roughness),
                                                 dielectric_mean(coat_eta));
-                const float single = lerp(f0, 1.0f, look_up_albedo(tables, dielectric_table, roughness, cos_view,
-                                                                   ior_coordinate(coat_eta)));
+                const float single = lerp(f0, 1.0f, dielectric_share(tables, roughness, cos_view, coat_eta));
                 coat_weight = material.coat_weight * share * factor;
                 coat_albedo = coat_weight * energy * single;
                 const float passed = saturate(1.0f - material.coat_weight * factor * energy * single);

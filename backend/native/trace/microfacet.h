@@ -54,7 +54,8 @@ constexpr AlbedoTable energy_table{0, 32, 32, 1};
 constexpr AlbedoTable mean_energy_table{energy_table.end(), 32, 1, 1};
 constexpr AlbedoTable schlick_table{mean_energy_table.end(), 16, 16, 1};
 constexpr AlbedoTable dielectric_table{schlick_table.end(), 16, 16, 16};
-constexpr AlbedoTable glass_entering_table{dielectric_table.end(), 16, 16, 16};
+constexpr AlbedoTable dielectric_leaving_table{dielectric_table.end(), 16, 17, 16};
+constexpr AlbedoTable glass_entering_table{dielectric_leaving_table.end(), 16, 16, 16};
 constexpr AlbedoTable glass_leaving_table{glass_entering_table.end(), 16, 16, 16};
 constexpr AlbedoTable mean_glass_entering_table{glass_leaving_table.end(), 16, 1, 16};
 constexpr AlbedoTable mean_glass_leaving_table{mean_glass_entering_table.end(), 16, 1, 16};
@@ -79,6 +80,23 @@ SVGF_HD inline SVGF_NOINLINE float look_up_albedo(const float* tables, AlbedoTab
 }
 
 SVGF_HD inline float ior_coordinate(float ior) { return std::sqrt(std::fabs((ior - 1.0f) / (ior + 1.0f))); }
+
+// The cosine with the critical angle at 0.5, and fine steps around it.
+SVGF_HD inline float critical_angle_coordinate(float cosine, float eta) {
+    const float critical = std::sqrt(1.0f - eta * eta), beyond = saturate(cosine) - critical;
+    const float root = std::sqrt(std::fabs(beyond) / max(beyond < 0.0f ? critical : 1.0f - critical, 1e-6f));
+    return 0.5f + 0.5f * (beyond < 0.0f ? -root : root);
+}
+
+// s, where the mean reflectance of a rough dielectric, its range [F(1), 1] mapped to [f0, 1], is f0 + (1 - f0) s.
+SVGF_HD inline float dielectric_share(const float* tables, float roughness, float cosine, float eta) {
+    AlbedoTable table = dielectric_table;
+    if (eta < 1.0f) {
+        table = dielectric_leaving_table;
+        cosine = critical_angle_coordinate(cosine, eta);
+    }
+    return look_up_albedo(tables, table, roughness, cosine, ior_coordinate(eta));
+}
 
 // Light that a lobe loses between microfacets, of which `mean` (its mean Fresnel reflectance) comes back [Kulla17]: the
 // factor on the lobe.

@@ -10,6 +10,7 @@
 #include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
+#include "trace/specular_chain.h"
 #include "trace/wavefront.h"
 
 namespace svgf {
@@ -23,7 +24,8 @@ constexpr Effects rare_effects =
 // from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
 // nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
-    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::perfect_specular |
+                              Effects::normal_maps),
     without(Effects::all, rare_effects | Effects::transmission),
     without(Effects::all, rare_effects),
     Effects::all,
@@ -423,6 +425,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     const Effects effects{frame.effects};
     const bool has_specular = covers(effects, Effects::specular);
     const bool two_signals = splits_direct || has_specular;
+    const bool has_chains = covers(effects, Effects::specular | Effects::perfect_specular);
     const bool has_motion =
         (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
@@ -435,7 +438,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .seed = frame.seed,
         .box_filter = box_filter,
         .camera_moves = covers(effects, Effects::camera_motion),
-        .transparent_bounces = frame.light_paths.transparent_bounces,
+        .limits = frame.light_paths,
         .out_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
@@ -447,13 +450,34 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_specular_albedo = has_specular ? vectors("specular_albedo") : nullptr,
         .out_motion = has_motion ? vectors("motion") : nullptr,
     };
+    Buffer<std::int32_t> smooth_pixels, smooth_count;
+    Buffer<Vec3> chain_light;
+    if (has_chains) {
+        smooth_pixels = Buffer<std::int32_t>(device_, pixels, "pixels of mirrors");
+        smooth_count = Buffer<std::int32_t>(device_, 1, "pixels of mirrors");
+        smooth_count.clear();
+        chain_light = Buffer<Vec3>(device_, pixels, "light in mirrors");
+        gbuffer.out_smooth_pixels = smooth_pixels.data();
+        gbuffer.out_smooth_count = smooth_count.data();
+        gbuffer.out_chain_light = chain_light.data();
+        gbuffer.out_first_normal = vectors("first_normal");
+        gbuffer.out_first_depth = floats("first_depth", 1);
+        gbuffer.out_first_object_id = integers("first_object_id");
+        gbuffer.out_first_motion = has_motion ? vectors("first_motion") : nullptr;
+    }
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
+    if constexpr (covers(kernel, Effects::specular))
+        if (has_chains)
+            device_.launch_queue("gbuffer chains", int(pixels), smooth_count.data(),
+                                 SpecularChainStage<kernel>{gbuffer, smooth_pixels.data()});
 
-    const PathVertices<kernel> vertices{.scene = scene_,
-                                        .limits = frame.light_paths,
-                                        .transparent_film = frame.transparent_film,
-                                        .splits_direct = splits_direct,
-                                        .two_signals = two_signals};
+    PathVertices<kernel> vertices{.scene = scene_,
+                                  .limits = frame.light_paths,
+                                  .transparent_film = frame.transparent_film,
+                                  .splits_direct = splits_direct,
+                                  .two_signals = two_signals,
+                                  .follows_chains = has_chains,
+                                  .in_chain_light = chain_light.data()};
     RadianceImages radiance{
         .first_of_frame = true,
         .weight = 1.0f / float(frame.samples),
@@ -479,6 +503,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
             device_.launch("path", frame.width, frame.height, path);
             ++path.sample;
             path.out.first_of_frame = false;
+            path.vertices.in_chain_light = nullptr;  // of the first sample
             if (!same_rays) path.in_hit = nullptr;
         }
     }
@@ -486,7 +511,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
 }
 
 template <Effects kernel>
-void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
                              const Hit* first_hits, RadianceImages out) {
     const int width = frame.width, height = frame.height, pixels = width * height;
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
@@ -540,6 +565,7 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
         }
         device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
         out.first_of_frame = false;
+        vertices.in_chain_light = nullptr;  // of the first sample
     }
 }
 

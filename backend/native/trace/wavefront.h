@@ -36,8 +36,8 @@ struct alignas(16) PathRecord {
     std::uint32_t bounces;          // and above bit 16 transparent_bounces
     std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
     std::uint32_t transmission_bounces;
-    std::uint32_t kind_and_flags;  // bit 29: measures_distance, bit 30: delta, bit 31: ends
-    std::uint32_t unused;
+    std::uint32_t kind_and_flags;  // bit 28: on_chain, 29: measures_distance, 30: delta, 31: ends
+    std::int32_t links;
 
     PathRecord() = default;
     SVGF_HD explicit PathRecord(const Path& path)
@@ -47,9 +47,9 @@ struct alignas(16) PathRecord {
           bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
           diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
           transmission_bounces(std::uint32_t(path.transmission_bounces)),
-          kind_and_flags(path.ray.kind | (path.measures_distance ? 1u << 29 : 0u) | (path.delta ? 1u << 30 : 0u) |
-                         (path.ends ? 1u << 31 : 0u)),
-          unused(0) {}
+          kind_and_flags(path.ray.kind | (path.on_chain ? 1u << 28 : 0u) | (path.measures_distance ? 1u << 29 : 0u) |
+                         (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)),
+          links(path.links) {}
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
     SVGF_HD Path path() const {
@@ -65,6 +65,8 @@ struct alignas(16) PathRecord {
         path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
+        path.links = links;
+        path.on_chain = (kind_and_flags >> 28 & 1u) != 0;
         path.measures_distance = (kind_and_flags >> 29 & 1u) != 0;
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
         path.ends = kind_and_flags >> 31 != 0;
@@ -79,10 +81,10 @@ struct alignas(16) ShadowRecord {
     Vec3 light;
     std::int32_t surfaces;
     Vec3 diffuse_share;
-    float unused;
+    std::int32_t links;
 
     SVGF_HD ShadowRay shadow() const {
-        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, surfaces};
+        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, links, surfaces};
     }
 };
 struct alignas(16) GatheredRecord {
@@ -160,7 +162,7 @@ SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memor
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
     if (shadow.exists())
         store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
-                                       shadow.light, shadow.surfaces, shadow.diffuse_share, 0});
+                                       shadow.light, shadow.surfaces, shadow.diffuse_share, shadow.links});
     out_paths.push_if(goes_on, pixel);
     out_shadows.push_if(shadow.exists(), pixel);
 }
@@ -204,7 +206,7 @@ struct FirstShadeStage {
         const int pixel = y * camera.width + x;
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light;
+        Gathered light = vertices.start(pixel);
         shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, light, out_paths, out_shadows);
     }
 };

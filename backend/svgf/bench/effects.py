@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,10 +18,12 @@ from typing import Any
 import numpy as np
 
 from ..devices import Device
-from ..effects import Effects, find_effects
+from ..effects import Effects
 from ..flatten import flatten
+from ..light_paths import LightPaths
+from ..light_tree import SMALLEST_TREE
 from ..renderer import SceneUploader
-from ..scene import LightKind, Material, MaterialKind, Scene, World
+from ..scene import Aperture, Camera, LightKind, Material, MaterialKind, RayVisibility, Scene, World
 
 FULL_KERNEL = "full kernel"
 
@@ -43,25 +46,31 @@ def measure(
     device: Device, name: str, scene: Scene, size: tuple[int, int], bounces: int | None = None, count: int = 16
 ) -> list[EffectCost]:
     """One row for each effect that the scene has, then one for the full kernel. count: launches of each side."""
-    effects = find_effects(scene)
+    effects = flatten(scene).effects
     bounces = scene.defaults.bounces if bounces is None else bounces
     whole = _Run(device, scene, size, bounces)
     rows = []
     for effect in Effects:
-        if effect in effects and effect in WITHOUT:
-            rows.append(_compare(name, effect.name, whole, _Run(device, WITHOUT[effect](scene), size, bounces), count))
+        if effect in effects:
+            rows.append(_compare(name, effect.name, whole, _run_without(effect, device, scene, size, bounces), count))
     full = _Run(device, scene, size, bounces, kernel=device.kernels[-1])
     rows.append(_compare(name, FULL_KERNEL, full, whole, count))
     return rows
 
 
 class _Run:
-    """One way to trace a scene."""
+    """One way to trace a scene. smallest_light_tree: see ``flatten``."""
 
     def __init__(
-        self, device: Device, scene: Scene, size: tuple[int, int], bounces: int, kernel: Effects = Effects.NONE
+        self,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        bounces: int,
+        kernel: Effects = Effects.NONE,
+        smallest_light_tree: int = SMALLEST_TREE,
     ) -> None:
-        flat = flatten(scene)
+        flat = flatten(scene, smallest_light_tree=smallest_light_tree)
         self._device = device
         self._tracer = device.tracer()
         SceneUploader(device, self._tracer).upload(flat)
@@ -74,6 +83,7 @@ class _Run:
             "effects": int(flat.effects),
             "pixel_filter": "center",
             "signals": "diffuse_specular",
+            "light_paths": dataclasses.astuple(scene.defaults.light_paths),
             "kernel": int(kernel),
         }
         images = self._tracer.trace(sample=0, **self._arguments)
@@ -84,6 +94,12 @@ class _Run:
     def milliseconds(self, sample: int) -> float:
         self._tracer.trace(sample=sample, **self._arguments)
         return sum(self._device.take_timings().values())
+
+
+def _run_without(effect: Effects, device: Device, scene: Scene, size: tuple[int, int], bounces: int) -> _Run:
+    if effect is Effects.MANY_LIGHTS:
+        return _Run(device, scene, size, bounces, smallest_light_tree=sys.maxsize)
+    return _Run(device, WITHOUT[effect](scene), size, bounces)
 
 
 def _compare(scene: str, what: str, on: _Run, off: _Run, count: int) -> EffectCost:
@@ -139,6 +155,31 @@ def _without_deformation(scene: Scene) -> Scene:
     return dataclasses.replace(scene, meshes=meshes)
 
 
+def _without_depth_of_field(scene: Scene) -> Scene:
+    def in_focus(camera: Camera) -> Camera:
+        return dataclasses.replace(camera, aperture=Aperture())
+
+    return dataclasses.replace(scene, camera=in_focus(scene.camera), previous_camera=in_focus(scene.previous_camera))
+
+
+def _seen_by_all(scene: Scene) -> Scene:
+    # Lamps stay unseen by the camera, as they are unless told otherwise.
+    lights = tuple(
+        dataclasses.replace(light, visibility=light.visibility | RayVisibility.ALL & ~RayVisibility.CAMERA)
+        for light in scene.lights
+    )
+    instances = dataclasses.replace(scene.instances, visibility=None)
+    world = dataclasses.replace(scene.world, visibility=RayVisibility.ALL)
+    return dataclasses.replace(scene, lights=lights, instances=instances, world=world)
+
+
+def _without_light_path_limits(scene: Scene) -> Scene:
+    # What alpha lets through stays: that is no such limit.
+    limits = LightPaths(transparent_bounces=scene.defaults.light_paths.transparent_bounces)
+    return dataclasses.replace(scene, defaults=dataclasses.replace(scene.defaults, light_paths=limits))
+
+
+# Of every effect but MANY_LIGHTS, which is a way to choose among lights and no part of the scene.
 WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
     Effects.TEXTURES: _without_maps,
     Effects.SPECULAR: lambda scene: _materials(
@@ -164,6 +205,12 @@ WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
     Effects.DELTA_LIGHTS: lambda scene: _without_lamps(scene, sized=False),
     Effects.AREA_LIGHTS: lambda scene: _without_lamps(scene, sized=True),
     Effects.ENVIRONMENT: lambda scene: dataclasses.replace(scene, world=World()),
+    Effects.ENVIRONMENT_MAP: lambda scene: dataclasses.replace(
+        scene, world=dataclasses.replace(scene.world, environment=-1)
+    ),
+    Effects.DEPTH_OF_FIELD: _without_depth_of_field,
+    Effects.RAY_VISIBILITY: _seen_by_all,
+    Effects.LIGHT_PATH_LIMITS: _without_light_path_limits,
     Effects.CAMERA_MOTION: lambda scene: dataclasses.replace(scene, previous_camera=scene.camera),
     Effects.OBJECT_MOTION: _without_object_motion,
     Effects.DEFORMATION: _without_deformation,

@@ -46,6 +46,29 @@ def ior_coordinate(ior: np.ndarray) -> np.ndarray:
     return np.sqrt(np.abs((ior - 1.0) / (ior + 1.0)))
 
 
+def dielectric_share(roughness: np.ndarray, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """s [n], where the mean reflectance of a rough dielectric, its range [F(1), 1] mapped to [f0, 1], is f0 + (1 - f0)
+    s."""
+    z = ior_coordinate(eta)
+    leaving = lookup("dielectric_leaving", roughness, critical_angle_coordinate(cosine, np.minimum(eta, 1.0)), z)
+    return np.where(eta < 1.0, leaving, lookup("dielectric", roughness, cosine, z))
+
+
+def critical_angle_coordinate(cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """The cosine with the critical angle of eta <= 1 at 0.5, and fine steps around it."""
+    critical = np.sqrt(1.0 - eta**2)
+    beyond = np.clip(cosine, 0.0, 1.0) - critical
+    root = np.sqrt(np.abs(beyond) / np.maximum(np.where(beyond < 0.0, critical, 1.0 - critical), 1e-6))
+    return 0.5 + 0.5 * np.copysign(root, beyond)
+
+
+def critical_angle_cosine(coordinate: float, eta: float) -> float:
+    """Inverse of critical_angle_coordinate."""
+    critical = np.sqrt(1.0 - eta**2)
+    side = 2.0 * coordinate - 1.0
+    return critical + (1.0 - critical if side > 0.0 else -critical) * side**2
+
+
 # What follows computes the tables.
 
 
@@ -137,6 +160,7 @@ def compute() -> np.ndarray:
         "energy": lambda x, y, k: energy_at(x, y),
         "schlick": lambda x, y, k: schlick_at(x, y),
         "dielectric": lambda x, y, k: dielectric_at(x, y, iors[k]),
+        "dielectric_leaving": lambda x, y, k: dielectric_at(x, critical_angle_cosine(y, 1.0 / iors[k]), 1.0 / iors[k]),
         "glass_entering": lambda x, y, k: glass_at(x, y, iors[k]),
         "glass_leaving": lambda x, y, k: glass_at(x, y, 1.0 / iors[k]),
     }

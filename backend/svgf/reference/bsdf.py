@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..scene import MaterialKind
-from .albedo import ior_coordinate, lookup
+from .albedo import dielectric_share, lookup
 from .diffuse import oren_nayar, oren_nayar_terms
 from .layers import column, make_layers
 from .microfacet import (
@@ -195,8 +195,7 @@ def make_bsdf(
     glass_factor = np.where(is_refraction[:, None], 1.0, glass_factor)
     glass = below * glass_share[:, None] * glass_factor
     inside_out = fresnel_dielectric(cos_view, glass_eta)
-    z = ior_coordinate(ior)
-    outside_in = glass_f0 + (1.0 - glass_f0) * lookup("dielectric", roughness, cos_view, z)[:, None]
+    outside_in = glass_f0 + (1.0 - glass_f0) * dielectric_share(roughness, cos_view, ior)[:, None]
     reflected = np.where(entering[:, None], outside_in, inside_out[:, None])
     reflected = np.where((glass_eta == 1.0)[:, None], 0.0, reflected)
     passed = np.where(is_refraction[:, None], transmission_tint, (1.0 - reflected) * transmission_tint)
@@ -211,7 +210,7 @@ def make_bsdf(
     mean = plastic_f0 + (1.0 - plastic_f0) * share
     energy, factor = multiscatter_factor(mean_roughness, cos_view, mean, multiscatter)
     plastic = below * plastic_share[:, None] * factor
-    s = lookup("dielectric", mean_roughness, cos_view, ior_coordinate(plastic_eta))[:, None]
+    s = dielectric_share(mean_roughness, cos_view, plastic_eta)[:, None]
     plastic_albedo = plastic * energy[:, None] * (plastic_f0 + (1.0 - plastic_f0) * s)
     # What multiscatter does not give back is not given to the base either.
     counted = np.where(multiscatter > 0.0, energy, 1.0)[:, None]
@@ -334,6 +333,44 @@ def specular_at(bsdf: Bsdf, cos_half_view: np.ndarray) -> np.ndarray:
 
 def coat_at(bsdf: Bsdf, cos_half_view: np.ndarray) -> np.ndarray:
     return bsdf.coat * fresnel_dielectric(cos_half_view, bsdf.coat_eta)
+
+
+@dataclass
+class SmoothBounce:
+    """The mirrored or the refracted direction [n, 3] of surfaces that are smooth and not diffuse, whichever carries
+    more. event: [n], NONE where the surface scatters. weight: [n, 3], of all mirrors that lead there. elsewhere:
+    [n, 3], albedo of the rest. eta: [n], of refraction."""
+
+    event: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+    elsewhere: np.ndarray
+    eta: np.ndarray
+
+
+def smooth_bounce(bsdf: Bsdf) -> SmoothBounce:
+    view = bsdf.to_local(bsdf.view)
+    cosine = view[:, 2]
+    reflectance, transmittance, _ = glass_events(bsdf, cosine)
+    has_glass = (bsdf.smooth_glass & (bsdf.probability[:, 4] > 0.0))[:, None]
+    reflected = np.where(bsdf.smooth[:, None], specular_at(bsdf, cosine), 0.0)
+    reflected = reflected + np.where(bsdf.smooth_coat, coat_at(bsdf, cosine), 0.0)[:, None]
+    reflected = reflected + np.where(has_glass, bsdf.glass * reflectance, 0.0)
+    refracted = np.where(has_glass, bsdf.glass * transmittance, 0.0)
+    rough = np.maximum(bsdf.specular_albedo - reflected - refracted, 0.0)
+    refracts = luminance(refracted) > luminance(reflected)
+    weight = np.where(refracts[:, None], refracted, reflected)
+    elsewhere = rough + np.where(refracts[:, None], reflected, refracted)
+
+    half = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
+    bent = np.where((bsdf.glass_eta == 1.0)[:, None], -view, refract(view, half, bsdf.glass_eta))
+    local = np.where(refracts[:, None], bent, reflect(view, half))
+    direction = normalize(bsdf.to_world(local))
+    side = np.where(refracts, -1.0, 1.0)
+    follows = (luminance(weight) > luminance(elsewhere)) & (bsdf.diffuse_albedo.max(axis=1, initial=0.0) == 0.0)
+    follows &= (local[:, 2] * side > 0.0) & (dot(bsdf.geometric_normal, direction) * side > 0.0)
+    event = np.where(follows, np.where(refracts, TRANSMISSION, GLOSSY), NONE)
+    return SmoothBounce(event, direction, weight, elsewhere, bsdf.glass_eta)
 
 
 def _uniform(alpha: np.ndarray) -> np.ndarray:

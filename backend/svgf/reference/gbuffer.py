@@ -8,15 +8,19 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from ..light_paths import LightPaths
 from ..scene import RayVisibility
+from .bsdf import NONE, TRANSMISSION
 from .camera import Camera
 from .intersect import Hits
-from .path import BACKGROUND_DEPTH
 from .surface import SceneView, surface_at
 
+BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
 # Motion, in pixels, of what was behind the previous camera: reprojects to nowhere.
 NO_MOTION = 1e6
+# Links of a chain of mirrors and bends at most, see specular_chain.py.
+LONGEST_CHAIN = 8
 
 
 @dataclass
@@ -115,6 +119,16 @@ def _see_through(
         choice[rows] = rays.choice(vertex)[rows, 0]
         rows = rows[behind.found]
     return hits, choice, tint
+
+
+def may_follow(
+    event: np.ndarray, bounces: int, limits: LightPaths, reflections: np.ndarray, refractions: np.ndarray
+) -> np.ndarray:
+    """bool [n]: whether chains of so many links have another one. event: of smooth_bounce."""
+    refracts = event == TRANSMISSION
+    made = np.where(refracts, refractions, reflections)
+    allowed = np.where(refracts, limits.transmission_bounces, limits.glossy_bounces)
+    return (event != NONE) & (reflections + refractions < min(bounces, LONGEST_CHAIN)) & (made < allowed)
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -108,6 +108,9 @@ class Hits:
     def found(self) -> np.ndarray:
         return np.isfinite(self.t)
 
+    def rows(self, chosen: np.ndarray) -> Hits:
+        return Hits(self.t[chosen], self.instance[chosen], self.triangle[chosen], self.weights[chosen])
+
 
 class Geometry:
     """Meshes in a row, and their instances."""

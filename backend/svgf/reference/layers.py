@@ -9,7 +9,7 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .albedo import ior_coordinate, lookup
+from .albedo import dielectric_share, lookup
 from .microfacet import dielectric_mean, multiscatter_factor, normal_reflectance
 
 # Below it the fits divide by almost 0.
@@ -54,7 +54,7 @@ def make_layers(rows: np.ndarray, cos_view: np.ndarray) -> Layers:
     roughness = column(rows, "coat_roughness")
     f0 = normal_reflectance(coat_eta)
     energy, factor = multiscatter_factor(roughness, cos_view, dielectric_mean(coat_eta))
-    single = f0 + (1.0 - f0) * lookup("dielectric", roughness, cos_view, ior_coordinate(coat_eta))
+    single = f0 + (1.0 - f0) * dielectric_share(roughness, cos_view, coat_eta)
     coat = coat_weight * below[:, 0] * factor
     coat_albedo = coat * energy * single
     below = below * np.clip(1.0 - coat_weight * factor * energy * single, 0.0, 1.0)[:, None]
