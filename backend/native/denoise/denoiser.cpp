@@ -8,6 +8,7 @@
 #include "denoise/antialias.h"
 #include "denoise/atrous.h"
 #include "denoise/demodulate.h"
+#include "denoise/diagnose.h"
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
 #include "denoise/temporal_plus.h"
@@ -163,8 +164,11 @@ typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
     return {memory.data() + signal * pixels() * Storage::moments_bytes};
 }
 
-void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset) {
+void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,
+                       const DenoiseDiagnostics* diagnostics) {
     prepare(inputs.signals);
+    diagnostics_ = diagnostics;
+    if (diagnostics) device_.clear(diagnostics->suppressed_light, pixels() * sizeof(float));
     if (reset || inputs.signals != signals_) has_history_ = false;
     signals_ = inputs.signals;
     try {
@@ -173,8 +177,10 @@ void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& output
         });
     } catch (...) {
         has_history_ = false;  // the memory holds half a frame
+        diagnostics_ = nullptr;
         throw;
     }
+    diagnostics_ = nullptr;
 }
 
 void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
@@ -214,6 +220,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
         if (is_temporal()) {
             launch("demodulate+temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             variance<Method, Signals>();
             for (int level = 0; level < levels(); ++level) {
                 const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
@@ -228,6 +235,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
             has_history_ = true;
         } else {
             launch("demodulate", demodulate_stage);
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             for (int level = 0; level < levels(); ++level) {
                 const Place next = place == Place::working ? Place::scratch : Place::working;
                 edge_avoiding<Signals>(level, inputs.window, place, next);
@@ -242,6 +250,7 @@ template <int Signals>
 void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = Plus::Storage;
     temporal_plus<Signals>(inputs, outputs.history_length);
+    if (diagnostics_) diagnose<Storage, Signals>(inputs);
     Place place = Place::history;
     const int last = levels() - 1;
     const bool antialiases = settings_.antialias_frames > 1.0f;
@@ -349,6 +358,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
+    stage.out_suppressed_light = diagnostics_ ? diagnostics_->suppressed_light : nullptr;
     for (int s = 0; s < Signals; ++s) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
         stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
@@ -463,6 +473,47 @@ Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const
         for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
     }
     return stage;
+}
+
+// After temporal, before the guides of the frame before are overwritten.
+template <class Storage, int Signals>
+void Denoiser::diagnose(const DenoiseInputs& inputs) {
+    Diagnose<Storage, Signals> stage;
+    stage.frame = noisy_frame<Signals>(inputs);
+    stage.in_emission = inputs.emission;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
+    if (is_temporal()) stage.reprojection = reprojection<Storage>(inputs);
+    for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
+    stage.pixel_size = (inputs.window.y - inputs.window.x) / float(width_);
+    stage.out_motion_error = diagnostics_->motion_error;
+    stage.out_reset_reason = diagnostics_->reset_reason;
+    stage.out_repaired_values = diagnostics_->repaired_values;
+    launch("diagnose", stage);
+}
+
+HostImages Denoiser::history_images() {
+    HostImages result;
+    if (!has_history_) return result;
+    with_method([&]<class Method>() {
+        using Storage = typename Method::Storage;
+        const std::vector<std::byte> colors = history_.download(), moments = previous_moments_.download();
+        for (int s = 0; s < signals_; ++s) {
+            const typename Storage::Color color{const_cast<std::byte*>(&colors[s * pixels() * Storage::color_bytes])};
+            HostImage& mean = result[std::string("color") + signal_suffix[s]] = {3, {}};
+            for (size_t i = 0; i < pixels(); ++i) {
+                const Vec4 c = color[int(i)];
+                mean.values.insert(mean.values.end(), {c.x, c.y, c.z});
+            }
+            if constexpr (std::is_same_v<Method, Plus>) {
+                const typename Storage::Moments known{
+                    const_cast<std::byte*>(&moments[s * pixels() * Storage::moments_bytes])};
+                HostImage& frames = result[std::string("frames") + signal_suffix[s]] = {1, {}};
+                for (size_t i = 0; i < pixels(); ++i) frames.values.push_back(known[int(i)].x);
+            }
+        }
+    });
+    return result;
 }
 
 int Denoiser::repaired() const { return repaired_.download()[0]; }

@@ -76,6 +76,7 @@ struct TemporalPlus : Tiles {
     float* out_history_length;  // [H, W] frames, of the signal that has the fewest
     int* out_repaired;
     FireflyCount* out_fireflies;
+    float* out_suppressed_light;  // [H, W] see DenoiseDiagnostics; null: nobody asks
 
     int bytes_per_pixel() const {
         const int signal = Signals * (Storage::color_bytes + Storage::moments_bytes);
@@ -223,7 +224,7 @@ private:
             most = fast_max(most, lights[n]);
         }
         const float limit = firefly_limit * expected_light(old, near.count, sum - most, own.w);
-        if (own.w > limit) count_firefly(own.w - limit);
+        if (own.w > limit) count_firefly(pixel, own.w - limit);
 
         // The 3x3 samples: mean, and variance of the luminance.
         const float own_light = fast_min(own.w, limit);
@@ -289,7 +290,8 @@ private:
         return color.w > limit ? color.xyz() * (limit * fast_reciprocal(color.w)) : color.xyz();
     }
 
-    SVGF_HD void count_firefly(float light) const {
+    SVGF_HD void count_firefly(int pixel, float light) const {
+        if (out_suppressed_light) out_suppressed_light[pixel] += light;
         count(&out_fireflies->samples, 1ull);
         count(&out_fireflies->light, static_cast<unsigned long long>(fast_min(light, 1e12f) * float(light_units)));
     }
