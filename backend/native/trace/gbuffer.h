@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stage "gbuffer": what the primary ray of each pixel sees, for demodulation, reprojection and edges. Keeps the hits
+// Stage "gbuffer": what the primary ray of each pixel sees, for demodulation, reprojection and edges. Its hits are kept
 // for stage "path", which starts with the same rays.
 #pragma once
 
@@ -11,14 +11,13 @@
 #include "trace/camera.h"
 #include "trace/intersect.h"
 #include "trace/light_paths.h"
+#include "trace/opacity.h"
 #include "trace/surface.h"
 
 namespace svgf {
 
 constexpr float background_depth = 1e10f;
 constexpr float largest_depth_gradient = 1e10f;
-// Numbers of the surfaces on one shadow ray.
-constexpr int shadow_surfaces = 1025;
 // Pixels that a point has moved which was behind the previous camera: reprojects to nowhere.
 constexpr float no_motion = 1e6f;
 
@@ -52,22 +51,32 @@ SVGF_HD Ray primary_ray(const Camera& camera, Vec2 point, const Sampler& sampler
     return ray;
 }
 
-// What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
-// neither.
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
+// registers it needs. Of the kernels with specular lobes and with transmission one block more costs 10 % of the launch
+// (H200, atrium and cornell).
 template <Effects kernel>
-SVGF_HD float surface_choice(const Sampler& sampler, int vertex) {
-    if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
-        return sampler.pair(SamplePair::surface, vertex).x;
-    return 0.0f;
-}
+constexpr int shade_blocks = covers(kernel, Effects::transmission) ? 3 : covers(kernel, Effects::specular) ? 4 : 6;
 
-// The same at surface number i on the shadow ray of a vertex: parts of mixes are chosen for each on its own.
+// Primary rays: hits for the stages that shade. On its own, because tracing needs few registers and many threads.
 template <Effects kernel>
-SVGF_HD float shadow_choice(const Sampler& sampler, int vertex, int i) {
-    if constexpr (covers(kernel, Effects::material_mixes))
-        return sampler.pair(SamplePair::shadow, vertex * shadow_surfaces + i).x;
-    return 0.0f;
-}
+struct PrimaryHitStage {
+    // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
+    static constexpr LaunchShape launch_shape{8, 16, path_trace_blocks<kernel>};
+
+    SceneView scene;
+    Camera camera;
+    std::uint32_t sample, seed;
+    bool box_filter;
+    int transparent_bounces;
+    Hit* out_hit;
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int i = y * camera.width + x;
+        const Sampler sampler(i, seed, sample);
+        const Ray ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
+        store(out_hit + i, find_path_hit<kernel>(scene, ray, sampler, 0, max(transparent_bounces, 1)));
+    }
+};
 
 SVGF_HD inline Vec3 motion_between(ImagePoint now, ImagePoint before) {
     const Vec3 motion{before.point.x - now.point.x, before.point.y - now.point.y, before.depth - now.depth};
@@ -83,8 +92,7 @@ SVGF_HD inline Vec2 bounded(Vec2 gradient) {
 
 template <Effects kernel>
 struct GbufferStage {
-    // A warp is 8 x 4 pixels, whose rays stay together: 1.27 ms instead of 1.59 ms for rows of 32 (H200, atrium).
-    static constexpr LaunchShape launch_shape{8, 16};
+    static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
 
     SceneView scene;
     Camera camera, previous_camera;
@@ -93,7 +101,7 @@ struct GbufferStage {
     bool camera_moves;
     LightPaths limits;
 
-    Hit* out_hit;
+    const Hit* in_hit;         // of the primary rays
     Vec3* out_normal;          // world, on the viewer's side; 0 on the background
     float* out_depth;          // planar
     Vec2* out_depth_gradient;  // per pixel
@@ -118,25 +126,24 @@ struct GbufferStage {
 
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
-        const Sampler sampler(x, y, camera.width, seed, sample);
+        const Sampler sampler(i, seed, sample);
         const Vec2 point = pixel_point(x, y, sampler, box_filter);
         Ray ray = primary_ray<kernel>(camera, point, sampler);
-        Hit hit = find_closest_hit(scene, ray);
-        out_hit[i] = hit;
-        if (!hit.found()) return write_background(i, ray.direction);
         const Vec3 view = -ray.direction;
-        Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, 0));
+        int allowed = max(limits.transparent_bounces, 1);
+        Hit hit = load(in_hit + i);
         Vec3 tint{1, 1, 1};
-        int passed = 0;
-        if constexpr (covers(kernel, Effects::alpha)) {
+        Surface surface;
+        for (int vertex = 0;; ++vertex) {
+            if (!hit.found()) return write_background(i, ray.direction);
+            surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex, hit));
+            if constexpr (!covers(kernel, Effects::alpha)) break;
             // As the path does: what lies behind a hit that lets the ray pass is seen instead of it.
-            while (max_component(surface.straight) > 0.0f && passed < max(limits.transparent_bounces, 1)) {
-                tint *= surface.straight;
-                ray.t_min = hit.t;
-                hit = find_closest_hit(scene, ray);
-                if (!hit.found()) return write_background(i, ray.direction);
-                surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, ++passed));
-            }
+            allowed -= hit.passed;
+            if (!(max_component(surface.straight) > 0.0f) || allowed <= 0) break;
+            tint *= surface.straight;
+            ray.t_min = hit.t;
+            hit = find_path_hit_apart<kernel>(scene, ray, sampler, vertex + 1, --allowed);
         }
         const Bsdf<kernel> bsdf(scene, surface, view);
         const ImagePoint now = camera.project(surface.position);
@@ -145,8 +152,7 @@ struct GbufferStage {
         if (out_motion && (camera_moves || is_moving(scene, hit)))
             motion = motion_between(now, previous_camera.project(find_previous_position(scene, hit)));
         if constexpr (covers(kernel, Effects::specular)) {
-            if (out_smooth_pixels && passed < max(limits.transparent_bounces, 1) &&
-                may_follow(limits, bsdf.find_smooth_bounce().event, 0, 0, 0))
+            if (out_smooth_pixels && allowed > 0 && may_follow(limits, bsdf.find_smooth_bounce().event, 0, 0, 0))
                 out_smooth_pixels[append(out_smooth_count)] = i;
         }
         write_first(i, bsdf.normal, now.depth, scene.instances[hit.instance].object_id, motion);

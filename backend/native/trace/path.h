@@ -15,6 +15,7 @@
 #include "trace/intersect.h"
 #include "trace/light_paths.h"
 #include "trace/lights.h"
+#include "trace/opacity.h"
 #include "trace/surface.h"
 
 namespace svgf {
@@ -76,18 +77,33 @@ struct PathVertices {
         return light;
     }
 
+    // Where the ray of a path ends.
+    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
+        return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+    }
+
+    // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
+    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                              bool measures_distance) const {
+        if (measures_distance || crosses_finite_lamp(ray))
+            return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+    }
+
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow) const {
         Ray& ray = path.ray;
         const bool is_known = in_chain_light && path.on_chain && path.links > 0;
+        path.transparent_bounces += hit.passed;
         if (!is_known && (scene.lights.sized_lamps_seen_by & ray.kind)) add_lamps(path, hit, light);
         if (!hit.found()) {
             if (path.measures_distance) light.hit_distance = background_depth;
             if (!is_known) add_world(path, light);
             return false;
         }
-        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
+        if (path.ends && scene.last_hits_are_dark && !path.measures_distance) return false;
+        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
         if (!is_known && max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
@@ -129,19 +145,19 @@ struct PathVertices {
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
-        Vec3 arriving = shadow.light;
-        if constexpr (has_alpha) {
-            arriving *= transmittance(sampler, vertex, shadow);
-            if (!(max_component(arriving) > 0.0f)) return;
-        } else if (is_occluded(scene, shadow.ray)) {
-            return;
-        }
-        add(light, arriving, shadow.diffuse_share, shadow.bounces, shadow.links);
+        const Vec3 share = find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces);
+        if (max_component(share) > 0.0f)
+            add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
     static constexpr bool has_alpha = covers(kernel, Effects::alpha);
+
+    // Surfaces that a path may still pass. One may always be passed.
+    SVGF_HD int allowed(int transparent_bounces) const {
+        return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
 
     // At a surface of the chain. The first one that does not go on with it is what the pixel sees.
     SVGF_HD void leave_or_follow_chain(Path& path, const Bsdf<kernel>& bsdf, const BsdfSample& next) const {
@@ -251,6 +267,19 @@ private:
         }
     }
 
+    SVGF_HD bool crosses_finite_lamp(const Ray& ray) const {
+        if (!(scene.lights.sized_lamps_seen_by & ray.kind)) return false;
+        Vec3 radiance;
+        float pdf;
+        for (int i = 0; i < scene.lights.lamp_count; ++i) {
+            const Light& lamp = scene.lights.rows[i];
+            if ((lamp.visibility & ray.kind) && cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, largest_float,
+                                                           radiance, pdf))
+                return true;
+        }
+        return false;
+    }
+
     SVGF_HD void add_world(const Path& path, Gathered& light) const {
         if (transparent_film && path.bounces == 0) {
             light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
@@ -305,22 +334,6 @@ private:
         shadow.links = path.links;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
     }
-
-    // What is left of light that goes straight on to the end of a shadow ray.
-    SVGF_HD Vec3 transmittance(const Sampler& sampler, int vertex, const ShadowRay& shadow) const {
-        Ray ray = shadow.ray;
-        const Vec3 view = -normalize(ray.direction);
-        Vec3 left{1, 1, 1};
-        for (int i = 0; i <= shadow.surfaces; ++i) {
-            const Hit hit = find_closest_hit(scene, ray);
-            if (!hit.found()) return left;
-            if (i == shadow.surfaces) break;
-            left *= find_transmittance<kernel>(scene, hit, view, shadow_choice<kernel>(sampler, vertex, i));
-            if (!(max_component(left) > 0.0f)) break;
-            ray.t_min = hit.t;
-        }
-        return {};
-    }
 };
 
 // Images of a frame, to which samples are added.
@@ -359,13 +372,20 @@ struct PathStage {
     RadianceImages out;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
         Gathered light = vertices.start(pixel);
         for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(vertices.scene, path.ray);
+            Hit hit;
+            if (vertex == 0 && in_hit)
+                hit = in_hit[pixel];
+            else if (path.ends && vertices.scene.last_hits_are_dark)
+                hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces,
+                                             path.measures_distance);
+            else
+                hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
             if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);

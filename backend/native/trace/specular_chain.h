@@ -241,32 +241,32 @@ struct SpecularChainStage {
         const SceneView& scene = gbuffer.scene;
         const Camera& camera = gbuffer.camera;
         const int x = pixel % camera.width, y = pixel / camera.width;
-        const Sampler sampler(x, y, camera.width, gbuffer.seed, gbuffer.sample);
+        const Sampler sampler(pixel, gbuffer.seed, gbuffer.sample);
         const Vec2 point = pixel_point(x, y, sampler, gbuffer.box_filter);
         const Ray primary = primary_ray<kernel>(camera, point, sampler);
 
         Chain chain;
         Unfolding unfolding;
         Ray ray = primary;
-        Hit hit = gbuffer.out_hit[pixel];
+        Hit hit = load(gbuffer.in_hit + pixel);
         Vec3 throughput{1, 1, 1}, elsewhere, light, first_normal;
-        int reflections = 0, refractions = 0, transparent_bounces = 0;
+        int reflections = 0, refractions = 0, allowed = max(gbuffer.limits.transparent_bounces, 1);
         std::int32_t object_id = 0;
         float distance = 0;
         bool moves = gbuffer.camera_moves;
         for (int vertex = 0;; ++vertex) {
+            allowed -= hit.passed;
             if (chain.count > 0) add_lamps(ray, hit, throughput, chain.count, light);
             if (!hit.found()) break;
             const Vec3 view = -ray.direction;
-            const Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex));
+            const Surface surface = find_surface<kernel>(scene, hit, view, surface_choice<kernel>(sampler, vertex, hit));
             if (chain.count > 0) add(light, throughput * surface.emission, chain.count);
-            const bool ends = transparent_bounces >= max(gbuffer.limits.transparent_bounces, 1);
+            const bool ends = allowed <= 0;
             if constexpr (covers(kernel, Effects::alpha))
                 if (max_component(surface.straight) > 0.0f && !ends) {
                     throughput *= surface.straight;
-                    ++transparent_bounces;
                     ray.t_min = hit.t;
-                    hit = find_closest_hit(scene, ray);
+                    hit = find_path_hit_apart<kernel>(scene, ray, sampler, vertex + 1, --allowed);
                     continue;
                 }
             const Bsdf<kernel> bsdf(scene, surface, view);
@@ -295,7 +295,7 @@ struct SpecularChainStage {
                 unfolding.turn(ray.direction, bounce.direction);
             ray = {offset_from_surface(surface, bounce.direction), bounce.direction, 0.0f, infinity,
                    mirrors ? ray_kind::glossy : ray_kind::transmission};
-            hit = find_closest_hit(scene, ray);
+            hit = find_path_hit_apart<kernel>(scene, ray, sampler, vertex + 1, allowed);
         }
         if (scene.world.visibility & ray.kind)
             add(light, throughput * environment_radiance_of(ray.direction), chain.count);

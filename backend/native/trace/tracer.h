@@ -17,6 +17,7 @@
 #include "scene/texture.h"
 #include "trace/camera.h"
 #include "trace/light_paths.h"
+#include "trace/opacity_table.h"
 
 namespace svgf {
 
@@ -138,11 +139,13 @@ private:
     void trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
                          const Hit* first_hits, RadianceImages out);
 
+    void find_opacity();
+
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;
     std::vector<std::shared_ptr<Texture>> textures_;
     Buffer<WideNode> nodes_;
-    Buffer<std::int32_t> instance_order_;
+    Buffer<TopLeaf> top_leaves_;
     Buffer<Instance> instances_;
     Buffer<Placement> placements_;
     Buffer<MeshView> mesh_views_;
@@ -159,6 +162,12 @@ private:
     Buffer<std::int32_t> light_of_triangle_;
     Buffer<EmissionMap> emission_maps_;
     Buffer<float> row_cdf_, column_cdf_;
+    // What the opacity of triangles depends on.
+    std::vector<std::int32_t> instance_mesh_, material_start_, material_table_rows_;
+    std::vector<Material> material_rows_;
+    std::vector<MaterialMap> material_map_rows_;
+    OpacityTable opacity_;
+    bool knows_opacity_ = false;
     int largest_material_ = -1;  // that the table names
     int largest_emitter_ = -1;   // that an instance names
     int largest_texture_ = -1;   // that lights and the world name

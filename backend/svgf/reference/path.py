@@ -17,6 +17,7 @@ from ..scene import RayVisibility
 from .bsdf import NONE, Bsdf, BsdfSample, evaluate, sample, smooth_bounce
 from .gbuffer import BACKGROUND_DEPTH, may_follow
 from .intersect import SHADOW_END, Hits, offset_origin
+from .opacity import find_path_hits, shadow_transmittance, surface_choice
 from .sampling import (
     direction_pair,
     light_choice_pair,
@@ -24,14 +25,10 @@ from .sampling import (
     lobe_pair,
     power_heuristic,
     random_pair,
-    shadow_pair,
-    surface_pair,
 )
-from .surface import SceneView, Surface, surface_at, transmittance_at
+from .surface import SceneView, Surface, surface_at
 
 ROULETTE_START = 3
-# Numbers of the surfaces on one shadow ray.
-SHADOW_SURFACES = 1025
 
 _KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)
 
@@ -121,12 +118,13 @@ def trace_paths(
     near: np.ndarray,
     far: np.ndarray,
     hits: Hits,
+    passed: np.ndarray,
     follows_chains: bool = False,
     chain_light: np.ndarray | None = None,
 ) -> None:
-    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits: the primary
-    rays, which look from near to far, and what they hit. follows_chains: the pixels see what specular_chain.py says.
-    chain_light: what it returned for this sample."""
+    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits, passed: the
+    primary rays, which look from near to far, and what find_path_hits says of them. follows_chains: the pixels see what
+    specular_chain.py says. chain_light: what it returned for this sample."""
     count = len(direction)
     if chain_light is not None:
         signals.images["emission"] += chain_light
@@ -155,7 +153,11 @@ def trace_paths(
     vertex = 0
     while len(paths.pixel):
         if vertex:
-            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, paths.t_max, paths.kind)
+            hits, passed = find_path_hits(
+                scene, keys[paths.pixel], sample_number, vertex, paths.origin, paths.direction, paths.t_min, paths.t_max,
+                paths.kind, max(limits.transparent_bounces, 1) - paths.transparent_bounces,
+            )  # fmt: skip
+        paths.transparent_bounces = paths.transparent_bounces + passed
         is_known = paths.on_chain & (paths.links > 0) & (chain_light is not None)
         unknown = np.flatnonzero(~is_known)
         _add_lamps(scene, signals, paths.rows(unknown), hits.rows(unknown))
@@ -165,7 +167,7 @@ def trace_paths(
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
             return
-        choice = random_pair(keys[paths.pixel], surface_pair(vertex), sample_number)[:, 0]
+        choice = surface_choice(scene, keys[paths.pixel], sample_number, vertex, hits.rows(found))
         surface = surface_at(scene, hits, found, -paths.direction, choice)
         unknown = np.flatnonzero(~is_known[found])
         _add_emission(scene, signals, paths.rows(unknown), surface.chosen(unknown), t[unknown])
@@ -362,7 +364,7 @@ def _add_direct_light(
     direction = light.direction[lit]
     origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
     surfaces = limits.transparent_bounces - paths.transparent_bounces[lit]
-    value[lit] *= _shadow_transmittance(
+    value[lit] *= shadow_transmittance(
         scene,
         keys[paths.pixel[lit]],
         sample_number,
@@ -374,32 +376,3 @@ def _add_direct_light(
     )
     share = np.where(paths.on_chain[lit, None], _share(diffuse[lit], total[lit]), paths.share[lit])
     signals.add(paths.pixel[lit], value[lit], share, paths.bounces.sum(axis=1)[lit] + 1, paths.links[lit])
-
-
-def _shadow_transmittance(
-    scene: SceneView,
-    keys: np.ndarray,
-    sample_number: int,
-    vertex: int,
-    origin: np.ndarray,
-    direction: np.ndarray,
-    t_max: np.ndarray,
-    surfaces: np.ndarray,
-) -> np.ndarray:
-    """What is left, [n, 3], of light that goes straight on to the end of shadow rays, through at most so many surfaces
-    [n]."""
-    left = np.ones((len(origin), 3))
-    t_min, rows = np.zeros(len(origin)), np.arange(len(origin))
-    number = 0
-    while len(rows):
-        kind = np.full(len(rows), int(RayVisibility.SHADOW))
-        hits = scene.shapes.closest(origin[rows], direction[rows], t_min[rows], t_max[rows], kind)
-        found = np.flatnonzero(hits.found)
-        rows, t = rows[found], hits.t[found]
-        choice = random_pair(keys[rows], shadow_pair(vertex * SHADOW_SURFACES + number), sample_number)[:, 0]
-        passed = transmittance_at(scene, hits, found, -direction[rows], choice) if len(rows) else np.zeros((0, 3))
-        left[rows] *= np.where((number < surfaces[rows])[:, None], passed, 0.0)
-        t_min[rows] = t
-        rows = rows[left[rows].max(axis=1, initial=0.0) > 0.0]
-        number += 1
-    return left

@@ -21,6 +21,7 @@ from .bsdf import TRANSMISSION, smooth_bounce
 from .camera import Camera
 from .gbuffer import LARGEST_GRADIENT, NO_MOTION, PrimaryRays, may_follow
 from .intersect import Hits, offset_origin
+from .opacity import find_path_hits, surface_choice
 from .sampling import frame, mix
 from .surface import SceneView, Shapes, surface_at
 from .vec import dot, normalize, transform_point
@@ -230,16 +231,17 @@ def replace_smooth_surfaces(
     previous_camera: Camera,
     rays: PrimaryRays,
     hits: Hits,
+    passed: np.ndarray,
     bounces: int,
     limits: LightPaths,
     images: dict[str, np.ndarray],
 ) -> np.ndarray:
     """Writes what mirrors and glass show over the images of trace_gbuffer, and keeps what the camera's rays hit
-    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits: of the rays. Returns the
-    light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
+    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see find_path_hits. Returns
+    the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
     for name in ("normal", "depth", "object_id", "motion"):
         images[f"first_{name}"] = images[name].copy()
-    walk = _Walk(scene, rays, hits, bounces, limits)
+    walk = _Walk(scene, rays, hits, passed, bounces, limits)
     vertex = 0
     while walk.advance(vertex):
         vertex += 1
@@ -259,16 +261,18 @@ def replace_smooth_surfaces(
 class _Walk:
     """All chains, one surface further at a time."""
 
-    def __init__(self, scene: SceneView, rays: PrimaryRays, hits: Hits, bounces: int, limits: LightPaths) -> None:
+    def __init__(
+        self, scene: SceneView, rays: PrimaryRays, hits: Hits, passed: np.ndarray, bounces: int, limits: LightPaths
+    ) -> None:
         count = len(rays.point)
-        self._scene, self._choice, self._bounces, self._limits = scene, rays.choice, bounces, limits
+        self._scene, self._rays, self._bounces, self._limits = scene, rays, bounces, limits
         self._rows = np.arange(count)  # the rays' pixels, and below what belongs to them
         self._origin, self._direction, self._near, self._far = rays.origin, rays.direction, np.zeros(count), rays.far
         self._kind = np.full(count, int(RayVisibility.CAMERA))
         self._hits = hits
         self._throughput, self._elsewhere = np.ones((count, 3)), np.zeros((count, 3))
         self._reflections, self._refractions = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
-        self._transparent = np.zeros(count, dtype=int)
+        self._allowed = max(limits.transparent_bounces, 1) - passed
         self._unfolding = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
         self.light, self.distance = np.zeros((count, 3)), np.zeros(count)
         self.chains = Chains(
@@ -293,14 +297,16 @@ class _Walk:
         if not len(found):
             return False
         view, rows = -self._direction[found], rows[found]
-        surface = surface_at(scene, hits, found, view, self._choice(vertex)[rows, 0])
+        keys, sample_number = self._rays.keys, self._rays.sample_number
+        choice = surface_choice(scene, keys[rows], sample_number, vertex, hits.rows(found))
+        surface = surface_at(scene, hits, found, view, choice)
         on_chain = self.chains.count[rows] > 0
         self._add(rows[on_chain], (self._throughput[rows] * surface.emission)[on_chain])
 
-        ends = self._transparent[rows] >= max(self._limits.transparent_bounces, 1)
+        ends = self._allowed[rows] <= 0
         straight = (surface.straight.max(axis=1, initial=0.0) > 0.0) & ~ends
         self._throughput[rows[straight]] *= surface.straight[straight]
-        self._transparent[rows[straight]] += 1
+        self._allowed[rows[straight]] -= 1
 
         t = hits.t[found]
         bsdf = surface.bsdf(view)
@@ -329,7 +335,11 @@ class _Walk:
         self._rows = rows[ahead]
         if not len(self._rows):
             return False
-        self._hits = scene.shapes.closest(self._origin, self._direction, self._near, self._far, self._kind)
+        self._hits, passed = find_path_hits(
+            scene, keys[self._rows], sample_number, vertex + 1, self._origin, self._direction, self._near, self._far,
+            self._kind, self._allowed[self._rows],
+        )  # fmt: skip
+        self._allowed[self._rows] -= passed
         return True
 
     def chains_of(self, rows: np.ndarray) -> Chains:
