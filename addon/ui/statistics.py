@@ -20,6 +20,7 @@ _EFFECTS = {
     Effects.TEXTURES: "Image textures",
     Effects.SPECULAR: "Reflections",
     Effects.TRANSMISSION: "Glass",
+    Effects.PERFECT_SPECULAR: "Mirrors and clear glass",
     Effects.MESH_LIGHTS: "Emissive meshes",
     Effects.DELTA_LIGHTS: "Lamps without size",
     Effects.AREA_LIGHTS: "Lamps with size",

@@ -213,7 +213,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         Place place = Place::working;
         const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
         if (is_temporal()) {
-            launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            launch("demodulate+temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
             variance<Method, Signals>();
             for (int level = 0; level < levels(); ++level) {
                 const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
@@ -262,7 +262,7 @@ void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outpu
         modulate_stage.out_unresolved = color_of<Storage>(written_last, 0);
     }
     if (last >= 1)
-        atrous<Plus, Signals>("atrous and modulate", last, place, modulate_stage);
+        atrous<Plus, Signals>("atrous+modulate", last, place, modulate_stage);
     else
         launch("modulate", modulate_stage);
     if (antialiases) antialias<Signals>(inputs, outputs.color);
@@ -358,7 +358,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
         stage.out_color[s] = color_of<Storage>(Place::scratch, s);
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    launch_tiles("temporal", stage);
+    launch_tiles("demodulate+temporal", stage);
     history_.swap(next_history_);
 }
 

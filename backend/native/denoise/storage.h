@@ -194,10 +194,10 @@ struct PackedStorage {
         }
     };
 
-    // What svgf+ knows of a signal's history: frames in 12 bits, 9 of precision; deviation of a sample in 12 bits, 6 of
-    // precision; drift in [-4, 4) in 7 bits; a bit for light that has changed. Frames and deviation are rounded at
-    // random, so that a long mean has no bias: rounding to nearest would lose the many small steps down and keep the
-    // few large ones up.
+    // What svgf+ knows of a signal's history: frames in 12 bits, 9 of precision; variance of a sample in 12 bits, 5 of
+    // precision and all of float's exponent; drift in [-4, 4) in 7 bits; a bit for light that has changed. Frames and
+    // variance are rounded at random, so that a long mean has no bias: rounding to nearest would lose the many small
+    // steps down and keep the few large ones up. (It must be the variance: a deviation without bias, squared, has one.)
     struct Moments {
         uint32_t* texels = nullptr;
 
@@ -207,7 +207,7 @@ struct PackedStorage {
         SVGF_HD Vec4 operator[](int pixel) const {
             const uint32_t packed = texels[pixel];
             return {float_from_bits(((packed & 0xfffu) << 15) + (127u << 23)) - 1.0f,
-                    square(decode_positive<5>(packed >> 12 & 0xfffu)), drift(pixel), has_changed(pixel) ? 1.0f : 0.0f};
+                    float_from_bits((packed >> 12 & 0xfffu) << 19), drift(pixel), has_changed(pixel) ? 1.0f : 0.0f};
         }
         SVGF_HD float drift(int pixel) const { return float(int32_t(texels[pixel]) >> 25) * (1.0f / 16.0f); }
         SVGF_HD bool has_changed(int pixel) const { return texels[pixel] >> 24 & 1u; }
@@ -217,8 +217,9 @@ struct PackedStorage {
             hash ^= hash >> 13;
             const uint32_t frames = bits_of(min(moments.x, 65000.0f) + 1.0f) + (hash & 0x7fffu) - (127u << 23);
             const int drift = int(std::floor(clamp(moments.z, -4.0f, 3.9f) * 16.0f + 0.5f));
-            const uint32_t deviation = encode_positive<5>(fast_sqrt(moments.y), float(hash >> 16) * (1.0f / 65536.0f));
-            texels[pixel] = frames >> 15 | deviation << 12 | (moments.w > 0.5f ? 1u << 24 : 0u) | uint32_t(drift) << 25;
+            const uint32_t variance = bits_of(min(moments.y, 0x1p126f)) + (hash >> 13);
+            texels[pixel] = frames >> 15 | variance >> 19 << 12 | (moments.w > 0.5f ? 1u << 24 : 0u) |
+                            uint32_t(drift) << 25;
         }
     };
 };

@@ -11,7 +11,7 @@
 //
 // A stage is a plain struct with named fields and `SVGF_HD void operator()(...) const`. Its name is at once the row in
 // the timings, the profiler's range and what an error message says. Where one stage takes several launches, theirs go
-// on with a space and another word.
+// on with a space and another word; one launch of several stages has their names with a + between.
 //
 // A stage of tiles has tile_columns() x tile_rows() tiles of threads_x x threads_y threads. For each of them
 // load(tile, column, row, i) runs for every i below loads() and fills the Tile, shared memory on a GPU; when all of it

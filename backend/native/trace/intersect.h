@@ -27,12 +27,14 @@ struct Ray {
     std::uint32_t kind = ray_kind::all;  // sees the instances that have one of its bits
 };
 
-struct Hit {
+struct alignas(16) Hit {
     float t = infinity;
     float weight1 = 0, weight2 = 0;   // barycentric, of vertices 1 and 2
     std::int32_t instance = -1;       // -1: nothing was hit
     std::int32_t triangle = -1;       // of the mesh as it was given
     std::int32_t leaf_triangle = -1;  // the same in leaf order, where its data lie
+    std::int32_t passed = 0;          // surfaces on the way that the ray passed
+    std::int32_t unused = 0;
 
     SVGF_HD bool found() const { return instance >= 0; }
 };
@@ -82,6 +84,27 @@ SVGF_HD inline bool intersect_triangle(const TriangleRay& ray, const LeafTriangl
     weight2 = w * inverse;
     t = (u * dot(ray.z, a) + v * dot(ray.z, b) + w * dot(ray.z, c)) * inverse;
     return true;
+}
+
+// Whether a hit counts for this triangle where surfaces are counted: of the triangles that share an edge or a vertex, a
+// ray through it counts for one, by the rule of rasterization (an edge belongs to the triangle on its left).
+SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangle, float weight1, float weight2) {
+    constexpr float rounding = 1e-6f;
+    if (min(min(weight1, weight2), 1.0f - (weight1 + weight2)) > rounding) return true;
+    const Vec3 corner[3] = {triangle.vertex0 - ray.origin, triangle.vertex1 - ray.origin, triangle.vertex2 - ray.origin};
+    Vec2 p[3];
+    for (int k = 0; k < 3; ++k) p[k] = {dot(ray.x, corner[k]), dot(ray.y, corner[k])};
+    bool owned = true;
+    for (int k = 0; k < 3; ++k) {
+        const Vec2 from = p[k], to = p[(k + 1) % 3], other = p[(k + 2) % 3];
+        if (difference_of_products(from.x, to.y, to.x, from.y) != 0.0f) continue;
+        // On this edge. The ray is the origin; the triangle's inside is where the other corner is.
+        const bool is_left = difference_of_products(to.x - from.x, other.y - from.y, other.x - from.x,
+                                                    to.y - from.y) > 0.0f;
+        const float dx = is_left ? to.x - from.x : from.x - to.x, dy = is_left ? to.y - from.y : from.y - to.y;
+        owned &= dy > 0.0f || (dy == 0.0f && dx > 0.0f);
+    }
+    return owned;
 }
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
@@ -222,6 +245,55 @@ constexpr int trace_blocks = 7;
 // Groups that wait at most: a level leaves what is left of its node, and its primitives where they are postponed.
 constexpr int stack_entries = 4 * max_tree_levels;
 
+// Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low bits, or
+// primitives.
+struct NodeGroup {
+    std::uint32_t first, bits;
+
+    SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
+};
+
+// What a ray has still to visit. On the device its bottom lies in shared memory, of which all traversals of a kernel use
+// the same, one after the other: in local memory alone it is most of a bounce ray's traffic.
+class TraversalStack {
+public:
+    SVGF_HD bool is_empty() const { return size_ == 0; }
+    SVGF_HD int size() const { return size_; }
+
+#if defined(__CUDA_ARCH__)
+    __device__ TraversalStack() {
+        __shared__ uint2 entries[shared_entries * threads];
+        shared_ = entries + threadIdx.y * blockDim.x + threadIdx.x;
+    }
+    __device__ void push(NodeGroup group) {
+        if (size_ < shared_entries)
+            shared_[threads * size_] = {group.first, group.bits};
+        else
+            local_[size_ - shared_entries] = group;
+        ++size_;
+    }
+    __device__ NodeGroup pop() {
+        --size_;
+        if (size_ >= shared_entries) return local_[size_ - shared_entries];
+        const uint2 entry = shared_[threads * size_];
+        return {entry.x, entry.y};
+    }
+#else
+    SVGF_HD void push(NodeGroup group) { local_[size_++] = group; }
+    SVGF_HD NodeGroup pop() { return local_[--size_]; }
+#endif
+
+private:
+#if defined(__CUDA_ARCH__)
+    static constexpr int shared_entries = 8, threads = 128;  // of a block
+    uint2* shared_;
+    NodeGroup local_[stack_entries - shared_entries];
+#else
+    NodeGroup local_[stack_entries];
+#endif
+    int size_ = 0;
+};
+
 // Whether so few threads of the warp have primitives to test that they had better wait for others, and go on with nodes
 // [Ylitie17, Section 4.4]. On an H200 bounce rays gain up to a half from it, whatever the number between 6 and 24.
 SVGF_HD inline bool is_lonely() {
@@ -232,21 +304,18 @@ SVGF_HD inline bool is_lonely() {
 #endif
 }
 
-// Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
-// becomes the closest one.
-template <bool any_hit>
-SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
-    // Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low
-    // bits, or primitives.
-    struct Group {
-        std::uint32_t first, bits;
+// For rays that every surface stops.
+struct NothingPasses {
+    SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
+};
 
-        SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
-    };
-    constexpr Group root{0, 1u << 31};
-    constexpr Group only_instance{0, 1u};
-        Group stack[stack_entries];
-    int stack_size = 0;
+// Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
+// becomes the closest one. passes(triangle_ray, triangle, hit) is asked about every hit that would count, in any order,
+// and says whether the ray goes on as if it were not there.
+template <bool any_hit, class Passes>
+SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
+    constexpr NodeGroup root{0, 1u << 31}, only_leaf{0, 1u};
+    TraversalStack stack;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
     const WideNode* nodes = scene.nodes;
@@ -254,16 +323,16 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
     BoxRay box_ray(ray.origin, ray.direction);
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
-    Group group = scene.has_one_instance ? only_instance : root;
+    NodeGroup group = scene.has_one_leaf ? only_leaf : root;
     for (;;) {
-        Group primitives;
+        NodeGroup primitives;
         if (group.has_nodes()) {
             const int bit = highest_set_bit(group.bits);
             group.bits ^= 1u << bit;
             const std::uint32_t slot = std::uint32_t(bit - WideNode::inner_bit) ^ box_ray.octant;
             const std::uint32_t before = group.bits & ((1u << slot) - 1) & 0xffu;
             const std::uint32_t child = group.first + std::uint32_t(count_set_bits(before));
-            if (group.has_nodes()) stack[stack_size++] = group;
+            if (group.has_nodes()) stack.push(group);
             const WideNode& node = load(nodes + child);
             const std::uint32_t mask = intersect_children(node, box_ray, ray.t_min, t_max);
             group = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
@@ -276,13 +345,13 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
             const std::uint32_t i = primitives.first + std::uint32_t(lowest_set_bit(primitives.bits));
             primitives.bits &= primitives.bits - 1;
             if (instance < 0) {
-                const std::int32_t next = scene.instance_order[i];
-                const Instance& placed = load(scene.instances + next);
+                const TopLeaf leaf = scene.top_leaves[i];
+                const Instance& placed = load(scene.instances + leaf.instance);
                 if ((placed.visibility & ray.kind) == 0) continue;
-                if (group.has_nodes()) stack[stack_size++] = group;
-                if (primitives.bits) stack[stack_size++] = primitives;
-                instance_floor = stack_size;
-                instance = next;
+                if (group.has_nodes()) stack.push(group);
+                if (primitives.bits) stack.push(primitives);
+                instance_floor = stack.size();
+                instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
                 const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
@@ -290,47 +359,51 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit) {
                 triangles = mesh.triangles;
                 box_ray = BoxRay(origin, direction);
                 triangle_ray = TriangleRay(origin, direction);
-                group = root;
+                group = {leaf.first, leaf.bits};
+                if (!group.has_nodes()) stack.push(group);
                 break;
             }
             if (group.has_nodes() && is_lonely()) {
                 primitives.bits |= 1u << (i - primitives.first);
-                stack[stack_size++] = primitives;
+                stack.push(primitives);
                 break;
             }
             const LeafTriangle& triangle = load(triangles + i);
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
+            const Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
+            if constexpr (!any_hit) {
+                const bool closer = t < t_max || instance < hit.instance ||
+                                    (instance == hit.instance && found.triangle < hit.triangle);
+                if (!closer) continue;
+            }
+            if (passes(triangle_ray, triangle, found)) continue;
             if constexpr (any_hit) return true;
-            const std::int32_t index = triangle.index;
-            const bool closer = t < t_max || instance < hit.instance ||
-                                (instance == hit.instance && index < hit.triangle);
-            if (!closer) continue;
             t_max = t;
-            hit = {t, weight1, weight2, instance, index, std::int32_t(i)};
+            hit = found;
         }
         if (group.has_nodes()) continue;
-        if (stack_size == 0) break;
-        if (instance >= 0 && stack_size == instance_floor) {
+        if (stack.is_empty()) break;
+        if (instance >= 0 && stack.size() == instance_floor) {
             instance = -1;
             nodes = scene.nodes;
             box_ray = BoxRay(ray.origin, ray.direction);
         }
-        group = stack[--stack_size];
+        group = stack.pop();
     }
     return t_max < ray.t_max;
 }
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
-    traverse<false>(scene, ray, hit);
+    traverse<false>(scene, ray, hit, NothingPasses{});
     return hit;
 }
 
 SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
     Hit unused;
-    return traverse<true>(scene, ray, unused);
+    return traverse<true>(scene, ray, unused, NothingPasses{});
 }
 
 }  // namespace svgf
