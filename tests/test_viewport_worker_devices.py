@@ -82,7 +82,8 @@ def test_view_that_turns_keeps_history(module, worker, device, scene):
     frame = ask(module, worker, device, replace(scene, camera=camera), limit=1).frame
     surface = frame.object_id > 0
     assert frame.reset == "" and np.allclose(frame.motion[surface][:, 0], 2, atol=1e-2)
-    assert np.median(frame.history_length[:, :-2][surface[:, :-2]]) > SAMPLES
+    seen_before = surface & (np.indices(surface.shape)[1] < SIZE[0] - 2)
+    assert (frame.history_length[seen_before] > 1).mean() > 0.8
 
 
 def test_object_that_moves_has_motion(module, worker, device, scene):

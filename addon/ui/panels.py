@@ -121,7 +121,7 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
             if item.name == "history_seconds" and _is_read_by(settings.method, item):
                 denoise = settings.to_settings().denoise
                 seconds = denoise.longest_history / denoise.frame_rate
-                column.label(text=f"{seconds:.2f} s of history in playback")
+                column.label(text=f"{seconds:.2f} s in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):

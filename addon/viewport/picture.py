@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from svgf.frame import Frame
 
-_ROWS = 16  # that are painted at once
+_ROWS = 64  # that are painted at once
+_THREADS = min(4, os.cpu_count() or 1)
 _LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
@@ -183,14 +186,22 @@ def paint(frame: Frame, look: Look) -> np.ndarray:
 
 
 def _fill(pixels: np.ndarray, image: np.ndarray, largest: float) -> None:
-    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in the processor's cache,
+    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in a processor's cache,
     and channel by channel, because numpy is slow where the innermost axis is short."""
     image = image[::-1]
-    for start in range(0, len(pixels), _ROWS):
+
+    def fill_rows(start: int) -> None:
         rows, limited = pixels[start : start + _ROWS], _limited(image[start : start + _ROWS], largest)
         for channel in range(3):
             rows[..., channel] = limited[..., channel % image.shape[2]]
         rows[..., 3] = 1
+
+    starts = range(0, len(pixels), _ROWS)
+    if len(starts) == 1:
+        fill_rows(0)
+        return
+    with ThreadPoolExecutor(_THREADS, "svgf paint") as threads:  # numpy lets go of Python while it works
+        list(threads.map(fill_rows, starts))
 
 
 def _limited(image: np.ndarray, largest: float) -> np.ndarray:

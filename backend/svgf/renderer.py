@@ -227,13 +227,6 @@ class Renderer:
             return f"frame {scene.frame} does not follow frame {self._last_frame}"
         return ""
 
-    @property
-    def _pixel_filter(self) -> str:
-        """A scene that stands still is sampled all over its pixels: the mean of all frames is then the truth."""
-        settings = self.settings
-        still = settings.method == "svgf+" and settings.pixel_filter == "auto" and self._repeats
-        return "box" if still else settings.resolved_pixel_filter
-
     def _trace(
         self,
         flat: FlatScene,
@@ -264,7 +257,7 @@ class Renderer:
                 seed=settings.seed,
                 bounces=bounces,
                 effects=int(effects),
-                pixel_filter=self._pixel_filter,
+                pixel_filter=settings.resolved_pixel_filter,
                 signals=settings.signals,
                 light_paths=astuple(light_paths),
                 transparent_film=film,
