@@ -53,6 +53,23 @@ struct Sequence {
 template <class First, class Second>
 Sequence(First, Second) -> Sequence<First, Second>;
 
+// Hands on what there is, without a level that could.
+template <class Storage, int Signals>
+struct Pass {
+    FrameSize size;
+    typename Storage::Color in_color[Signals];
+    StoreFiltered<Storage, Signals> sink;
+
+    int bytes_per_pixel() const { return Signals * Storage::color_bytes + sink.sink_bytes_per_pixel(); }
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int pixel = size.pixel(x, y);
+        Vec4 color[Signals];
+        for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
+        sink(pixel, color);
+    }
+};
+
 }  // namespace
 
 std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name) {
@@ -251,30 +268,34 @@ void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outpu
     using Storage = Plus::Storage;
     temporal_plus<Signals>(inputs, outputs.history_length);
     if (diagnostics_) diagnose<Storage, Signals>(inputs);
-    Place place = Place::history;
+    // The last level ends in scratch, as working lies in the image that the last stage writes. It writes to history,
+    // too, so the first one, which reads it, cannot be the last.
     const int last = levels() - 1;
-    const bool antialiases = settings_.antialias_frames > 1.0f;
-    // The last level writes into history and, for antialias, into scratch, else into the caller's image, which is
-    // working: it reads the other one.
-    const Place read_last = antialiases ? Place::working : Place::scratch;
-    const Place written_last = antialiases ? Place::scratch : Place::working;
+    Place place = Place::history;
     for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
-        const Place next = last == level || (last - level) % 2 ? read_last : written_last;
+        const Place next = last == level || (last - level) % 2 ? Place::working : Place::scratch;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
-    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
-    modulate_stage.out_history_length = nullptr;
-    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
-    if (antialiases) {
-        modulate_stage.out_color = nullptr;
-        modulate_stage.out_unresolved = color_of<Storage>(written_last, 0);
+    StoreFiltered<Storage, Signals> filtered;
+    for (int s = 0; s < Signals; ++s) {
+        filtered.out_color[s] = color_of<Storage>(Place::scratch, s);
+        filtered.history[s] = color_of<Storage>(Place::history, s);
     }
-    if (last >= 1)
-        atrous<Plus, Signals>("atrous+modulate", last, place, modulate_stage);
+    if (last >= 1) {
+        atrous<Plus, Signals>("atrous", last, place, filtered);
+    } else {
+        Pass<Storage, Signals> stage{{width_, height_}, {}, filtered};
+        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(place, s);
+        launch("atrous none", stage);
+    }
+    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, Place::scratch);
+    modulate_stage.out_history_length = nullptr;
+    const bool antialiases = settings_.antialias_frames > 1.0f;
+    if (antialiases)
+        antialias(inputs, modulate_stage);
     else
         launch("modulate", modulate_stage);
-    if (antialiases) antialias<Signals>(inputs, outputs.color);
     has_resolved_ = antialiases;
     moments_.swap(previous_moments_);
     guides_.swap(previous_guides_);
@@ -288,7 +309,7 @@ NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
     frame.height = height_;
     for (int s = 0; s < Signals; ++s) {
         frame.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) frame.in_albedo[s][i] = inputs.albedo[s][i];
+        frame.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
     }
     frame.in_normal = inputs.normal;
     frame.in_depth = inputs.depth;
@@ -374,14 +395,14 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
 
 // From scratch to the caller's image and, in place of the guides of the frame before, the next resolved colour.
 template <int Signals>
-void Denoiser::antialias(const DenoiseInputs& inputs, float* color) {
-    using Storage = Plus::Storage;
+void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStorage, Signals>& modulate) {
+    using Storage = PackedStorage;
     Antialias<Storage, Signals> stage;
     stage.image_width = width_;
     stage.image_height = height_;
     stage.frame = noisy_frame<Signals>(inputs);
     stage.guides = guides_of<Storage>(guides_);
-    stage.in_color = color_of<Storage>(Place::scratch, 0);
+    stage.modulate = modulate;
     stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
     stage.in_motion = inputs.motion;
@@ -390,8 +411,8 @@ void Denoiser::antialias(const DenoiseInputs& inputs, float* color) {
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
     stage.out_history = {previous_guides_.data()};
-    stage.out_color = color;
-    launch_tiles("antialias", stage);
+    stage.out_color = modulate.out_color;
+    launch_tiles("modulate+antialias", stage);
     resolved_.swap(previous_guides_);
 }
 
@@ -470,7 +491,7 @@ Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
         stage.in_color[s] = color_of<Storage>(from, s);
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
+        stage.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
     }
     return stage;
 }

@@ -2,16 +2,16 @@
 // The denoiser: owns the buffers and the order of the stages.
 //
 //   method   stages
-//   svgf+    temporal (which demodulates) -> atrous x levels -> modulate -> antialias     ours
+//   svgf+    demodulate+temporal -> atrous x levels -> modulate+antialias           ours
 //   svgf     demodulate -> temporal -> variance -> atrous x levels -> modulate      [Schied17]
 //   eaw      demodulate -> atrous x levels -> modulate                              [Dammertz10]
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
-// svgf+ works in packed images (storage.h), and its last level hands its result to modulate without a detour through
-// memory. What has been read serves again: the history of the frame before as scratch between the levels and for the
-// picture that antialias resolves, the guides of the frame before for the resolved picture, and until they are written
-// the caller's colour and variance images for colour between the levels and for the depth gradients.
+// svgf+ works in packed images (storage.h); its first and its last stage are two in one launch. What has been read serves
+// again: the history of the frame before for colour between the levels, the guides of the frame before for the resolved
+// picture, and until they are written the caller's colour image for colour between the levels and the caller's variance
+// image for the depth gradients.
 #pragma once
 
 #include <cstdint>
@@ -107,6 +107,7 @@ struct BufferInfo {
     size_t bytes;
 };
 
+struct PackedStorage;
 template <int Signals> struct NoisyFrame;
 template <class Storage, int Signals> struct Demodulate;
 template <class Storage, int Signals> struct Temporal;
@@ -191,7 +192,8 @@ private:
     template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
     template <int Signals> void temporal_plus(const DenoiseInputs& inputs, float* history_length);
     template <class Storage, int Signals> void diagnose(const DenoiseInputs& inputs);
-    template <int Signals> void antialias(const DenoiseInputs& inputs, float* color);
+    template <int Signals>
+    void antialias(const DenoiseInputs& inputs, const Modulate<PackedStorage, Signals>& modulate);
     template <class Method, int Signals> void variance();
     template <class Method, int Signals, class Sink>
     void atrous(const char* name, int level, Place from, const Sink& sink);

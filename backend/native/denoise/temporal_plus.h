@@ -54,12 +54,18 @@ constexpr float neighbour_share = 0.1f;
 template <class Storage, int Signals>
 struct TemporalPlus : Tiles {
     using Tiles::height, Tiles::width;
-    static constexpr int blocks = 4;
+    static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
 
     struct Tile {
         Vec4 surface[places];         // normal, depth
         Vec4 color[Signals][places];  // illumination, luminance
+        float light[Signals][places];  // the luminance again, for when it alone is read
         int32_t object_id[places];    // 0: no surface
+    };
+    struct Texel {
+        typename NoisyFrame<Signals>::Surface surface;
+        typename NoisyFrame<Signals>::Signal signal[Signals];
+        bool is_inside, is_own;  // of the image, of the tile
     };
 
     NoisyFrame<Signals> frame;
@@ -83,26 +89,34 @@ struct TemporalPlus : Tiles {
         return frame.bytes_per_pixel() + reprojection.bytes_per_pixel() + (reprojection.prev_guides ? 2 : 1) * signal +
                Storage::guide_bytes + Storage::gradient_bytes + 4;
     }
-    SVGF_HD int loads() const { return places; }
 
-    SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
         const int x = Tiles::x(tile_column, place), y = Tiles::y(tile_row, place);
-        Vec4 surface;
-        int32_t id = 0;
-        int repaired = 0;
-        if (out_guides.contains(x, y)) {
-            surface = frame.surface(x, y, id, repaired);
-            for (int s = 0; s < Signals; ++s) {
-                const Vec3 c = frame.illumination(s, out_guides.pixel(x, y), repaired);
-                tile.color[s][place] = {c.x, c.y, c.z, luminance(c)};
-            }
-            if (repaired > 0 && owns(tile_column, tile_row, x, y)) count(out_repaired, repaired);
-        }
-        tile.surface[place] = surface;
-        tile.object_id[place] = id;
+        const int pixel = out_guides.nearest_pixel(x, y);
+        Texel texel;
+        texel.surface = frame.fetch_surface(pixel);
+        for (int s = 0; s < Signals; ++s) texel.signal[s] = frame.fetch_signal(s, pixel);
+        texel.is_inside = out_guides.contains(x, y);
+        texel.is_own = owns(tile_column, tile_row, x, y);
+        return texel;
     }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
+        int repaired = 0;
+        int32_t id;
+        tile.surface[place] = frame.surface(texel.surface, id, repaired);
+        tile.object_id[place] = texel.is_inside ? id : 0;
+        for (int s = 0; s < Signals; ++s) {
+            const Vec3 c = frame.illumination(s, texel.signal[s], repaired);
+            const float light = luminance(c);
+            tile.color[s][place] = {c.x, c.y, c.z, light};
+            tile.light[s][place] = light;
+        }
+        if (texel.is_own) count(out_repaired, repaired);
+    }
+    struct Own {};
+    SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
 
-    SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
+    SVGF_HD void operator()(const Tile& tile, Own, int tile_column, int tile_row, int thread_x, int thread_y) const {
         SVGF_NO_UNROLL
         for (int row = thread_y; row < rows; row += threads_y) {
             const int x = tile_column * columns + thread_x, y = tile_row * rows + row;
@@ -149,7 +163,6 @@ private:
         const bool reaches = reprojection.find(x, y, surface, gradient, stored_id, point, repaired);
         const bool moves = reaches && (point.x != float(x) || point.y != float(y));
         const auto taps = reaches ? reprojection.weigh(point) : typename Reprojection<Storage>::Taps{};
-        count(out_repaired, repaired);
 
         const Neighbours near = find_neighbours(tile, place, surface, id);
         float shortest = largest_float;
@@ -157,9 +170,10 @@ private:
         for (int s = 0; s < Signals; ++s) {
             History old;
             if (reaches) read_history(s, point, taps, old);
-            shortest = fast_min(shortest, accumulate(s, pixel, tile.color[s], place, near, old, moves));
+            shortest = fast_min(shortest, accumulate(s, pixel, tile, place, near, old, moves));
         }
         out_history_length[pixel] = shortest;
+        count(out_repaired, repaired);
     }
 
     SVGF_HD Neighbours find_neighbours(const Tile& tile, int place, Vec4 surface, int32_t id) const {
@@ -191,7 +205,7 @@ private:
         reprojection.visit(point, taps, take);
         if (!(total > 0.0f)) return;
         old.found = true;
-        const float scale = 1.0f / total;
+        const float scale = fast_reciprocal(total);
         old.color *= scale;
         old.filtered_light *= scale;
         old.frames *= scale;
@@ -201,25 +215,27 @@ private:
 
     // Of nine pixels, whatever they show.
     SVGF_HD float mean_drift(int s, int x, int y) const {
-        float sum = 0.0f;
+        int columns[3], sum = 0;
         SVGF_UNROLL
-        for (int j = -1; j <= 1; ++j)
+        for (int i = 0; i < 3; ++i) columns[i] = clamp(x + (i - 1) * drift_spacing, 0, out_guides.width - 1);
+        SVGF_UNROLL
+        for (int j = 0; j < 3; ++j) {
+            const int row = out_guides.pixel(0, clamp(y + (j - 1) * drift_spacing, 0, out_guides.height - 1));
             SVGF_UNROLL
-            for (int i = -1; i <= 1; ++i)
-                sum += hist_moments[s].drift(
-                    out_guides.pixel(clamp(x + i * drift_spacing, 0, out_guides.width - 1),
-                                     clamp(y + j * drift_spacing, 0, out_guides.height - 1)));
-        return sum * (1.0f / 9.0f);
+            for (int i = 0; i < 3; ++i) sum += hist_moments[s].drift_steps(row + columns[i]);
+        }
+        return float(sum) * (Storage::Moments::drift_step / 9.0f);
     }
 
-    // Brings the sample into the mean of a signal. colors: its tile. Returns the frames that are in the mean.
-    SVGF_HD float accumulate(int s, int pixel, const Vec4* colors, int place, Neighbours near, const History& old,
+    // Brings the sample into the mean of a signal. Returns the frames that are in the mean.
+    SVGF_HD float accumulate(int s, int pixel, const Tile& tile, int place, Neighbours near, const History& old,
                              bool moves) const {
+        const Vec4* const colors = tile.color[s];
         const Vec4 own = colors[place];
         float lights[neighbours], sum = 0.0f, most = 0.0f;
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
-            lights[n] = near.has(n) ? colors[place + neighbour(n)].w : 0.0f;
+            lights[n] = near.has(n) ? tile.light[s][place + neighbour(n)] : 0.0f;
             sum += lights[n];
             most = fast_max(most, lights[n]);
         }

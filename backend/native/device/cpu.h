@@ -56,9 +56,10 @@ public:
             const auto tile = std::make_unique<typename Stage::Tile>();
             for (size_t t = begin; t < end; ++t) {
                 const int column = int(t % columns), row = int(t / columns);
-                for (int i = 0; i < stage.loads(); ++i) stage.load(*tile, column, row, i);
+                for (int i = 0; i < Stage::places; ++i) stage.put(*tile, i, stage.fetch(column, row, i));
                 for (int y = 0; y < Stage::threads_y; ++y)
-                    for (int x = 0; x < Stage::threads_x; ++x) stage(*tile, column, row, x, y);
+                    for (int x = 0; x < Stage::threads_x; ++x)
+                        stage(*tile, stage.fetch_own(column, row, x, y), column, row, x, y);
             }
         });
     }

@@ -36,10 +36,24 @@ __global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::bl
     __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
     Tile& tile = *reinterpret_cast<Tile*>(memory);
     constexpr int threads = Stage::threads_x * Stage::threads_y;
-    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += threads)
-        stage.load(tile, blockIdx.x, blockIdx.y, i);
+    constexpr int rounds = (Stage::places + threads - 1) / threads;
+    const int first = threadIdx.y * Stage::threads_x + threadIdx.x;
+    const auto own = stage.fetch_own(blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
+    // Several reads are on their way before the first of them is waited for.
+#pragma unroll
+    for (int begin = 0; begin < rounds; begin += Stage::fetches) {
+        typename Stage::Texel texels[Stage::fetches];
+#pragma unroll
+        for (int i = 0; i < Stage::fetches; ++i)
+            if (const int place = first + (begin + i) * threads; place < Stage::places)
+                texels[i] = stage.fetch(blockIdx.x, blockIdx.y, place);
+#pragma unroll
+        for (int i = 0; i < Stage::fetches; ++i)
+            if (const int place = first + (begin + i) * threads; place < Stage::places)
+                stage.put(tile, place, texels[i]);
+    }
     __syncthreads();
-    stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
+    stage(tile, own, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
 }
 
 template <class Stage>
