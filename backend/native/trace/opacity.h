@@ -47,10 +47,13 @@ SVGF_HD SVGF_NOINLINE inline float find_cut_out_opacity(const SceneView& scene, 
 // What a path's ray passes.
 template <Effects kernel>
 struct PathPasses {
+    static constexpr int most_distances = 8;
+
     const SceneView& scene;
     const Sampler& sampler;
     int vertex;  // at which the ray ends
     int passed = 0;
+    float distances[most_distances] = {};  // of the first ones passed, in no order
 
     SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
         const OpacityClass found = opacity_class(scene, hit);
@@ -59,6 +62,7 @@ struct PathPasses {
         if (found == OpacityClass::cut_out &&
             surface_choice<kernel>(sampler, vertex, hit) < find_cut_out_opacity(scene, hit))
             return false;
+        if (passed < most_distances) distances[passed] = hit.t;
         ++passed;
         return true;
     }
@@ -92,7 +96,10 @@ SVGF_HD Hit find_path_hit(const SceneView& scene, const Ray& ray, const Sampler&
     PathPasses<kernel> passes{scene, sampler, vertex};
     traverse<false>(scene, ray, hit, passes);
     // Some of them may lie behind the hit.
-    return passes.passed == 0 ? hit : count_passed<kernel>(scene, ray, sampler, vertex, allowed, hit);
+    for (int i = 0; i < min(passes.passed, passes.most_distances); ++i)
+        if (passes.distances[i] < hit.t) ++hit.passed;
+    if (passes.passed <= passes.most_distances && hit.passed <= allowed) return hit;
+    return count_passed<kernel>(scene, ray, sampler, vertex, allowed, hit);
 }
 
 // The same where it is the exception: a call of its own.
