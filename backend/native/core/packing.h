@@ -52,7 +52,7 @@ SVGF_HD inline float decode_deviation(PackedColor packed) { return decode_positi
 template <int bits>
 SVGF_HD inline uint32_t encode_normal(Vec3 n) {
     constexpr float one = float((1 << (bits - 1)) - 1);
-    const float scale = 1.0f / max(std::fabs(n.x) + std::fabs(n.y) + std::fabs(n.z), 1e-30f);
+    const float scale = fast_reciprocal(fast_max(std::fabs(n.x) + std::fabs(n.y) + std::fabs(n.z), 1e-30f));
     float u = n.x * scale, v = n.y * scale;
     if (n.z < 0.0f) {
         const float folded_u = (1.0f - std::fabs(v)) * (u < 0.0f ? -1.0f : 1.0f);

@@ -148,13 +148,14 @@ struct Atrous {
     SVGF_HD void operator()(const Tile& tile, const Own& own, int tile_column, int tile_row, int thread_x,
                             int thread_y) const {
         const int column = thread_x + Lattice::margin, row = thread_y * rows_per_thread + radius;
-        const int x = lattice.x(tile_column, column), upper_y = lattice.y(tile_row, row),
-                  lower_y = lattice.y(tile_row, row + 1);
-        if (x >= guides.width || upper_y >= guides.height) return;
-        const int upper = row * Lattice::width + column, lower = upper + Lattice::below;
-        const bool has_lower = lower_y < guides.height;
-        Pixel pixels[rows_per_thread] = {{*this, tile, own.gradient[0], upper, x, upper_y},
-                                         {*this, tile, own.gradient[1], lower, x, has_lower ? lower_y : upper_y}};
+        const int x = lattice.x(tile_column, column);
+        if (!guides.contains(x, lattice.y(tile_row, row))) return;
+        const int upper = row * Lattice::width + column;
+        Pixel pixels[rows_per_thread];
+        SVGF_UNROLL
+        for (int p = 0; p < rows_per_thread; ++p)
+            pixels[p].begin(*this, tile, own.gradient[p], upper + p * Lattice::below, x,
+                            min(lattice.y(tile_row, row + p), guides.height - 1));
         SVGF_UNROLL
         for (int j = -radius; j < radius + rows_per_thread; ++j) {
             SVGF_UNROLL
@@ -174,8 +175,10 @@ struct Atrous {
                         pixels[p].add(i, j - p, surface, color, light);
             }
         }
-        pixels[0].finish(*this, tile, upper, guides.pixel(x, upper_y));
-        if (has_lower) pixels[1].finish(*this, tile, lower, guides.pixel(x, lower_y));
+        SVGF_UNROLL
+        for (int p = 0; p < rows_per_thread; ++p)
+            if (const int y = lattice.y(tile_row, row + p); y < guides.height)
+                pixels[p].finish(*this, tile, upper + p * Lattice::below, guides.pixel(x, y));
     }
 
 private:
@@ -186,8 +189,8 @@ private:
         float light[Signals], light_scale[Signals], weight[Signals];
         Vec4 sum[Signals];
 
-        SVGF_HD Pixel(const Atrous& stage, const Tile& tile, Vec2 gradient, int place, int x, int y)
-            : edge(tile.surface[place], gradient, stage.sigma_depth, stage.sigma_normal) {
+        SVGF_HD void begin(const Atrous& stage, const Tile& tile, Vec2 gradient, int place, int x, int y) {
+            edge = {tile.surface[place], gradient, stage.sigma_depth, stage.sigma_normal};
             const float step = float(1 << stage.lattice.level);
             SVGF_UNROLL
             for (int j = 0; j <= radius; ++j)

@@ -230,8 +230,7 @@ private:
     // Brings the sample into the mean of a signal. Returns the frames that are in the mean.
     SVGF_HD float accumulate(int s, int pixel, const Tile& tile, int place, Neighbours near, const History& old,
                              bool moves) const {
-        const Vec4* const colors = tile.color[s];
-        const Vec4 own = colors[place];
+        const Vec4 own = tile.color[s][place];
         float lights[neighbours], sum = 0.0f, most = 0.0f;
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
@@ -242,55 +241,62 @@ private:
         const float limit = firefly_limit * expected_light(old, near.count, sum - most, own.w);
         if (own.w > limit) count_firefly(pixel, own.w - limit);
 
-        // The 3x3 samples: mean, and variance of the luminance.
+        // The 3x3 samples' luminance: mean and variance.
         const float own_light = fast_min(own.w, limit);
-        const Vec3 sample = limited(own, limit);
-        Vec3 local = sample;
+        float local_light = own_light;
         SVGF_UNROLL
-        for (int n = 0; n < neighbours; ++n)
-            if (near.has(n)) local += limited(colors[place + neighbour(n)], limit);
-        local *= fast_reciprocal(float(near.count + 1));
-        const float local_light = luminance(local);
+        for (int n = 0; n < neighbours; ++n) local_light += fast_min(lights[n], limit);
+        local_light *= fast_reciprocal(float(near.count + 1));
         float squares = square(own_light - local_light);
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n)
             squares += near.has(n) ? square(fast_min(lights[n], limit) - local_light) : 0.0f;
         // A pixel without neighbours is as uncertain as it is bright.
-        const float spread =
-            near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
+        const float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
 
-        // Light that has changed.
+        // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
         const float threshold = change_threshold * (1.0f + threshold_rise * doublings);
-        const float kept_of_change =
-            clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
-        Vec3 history = local + (old.color - local) * kept_of_change;
-        const float old_frames = old.frames * kept_of_change;
-
-        float frames = old_frames + 1.0f;
+        float kept = clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
+        const bool changed = kept < 1.0f;
+        float frames = old.frames * kept + 1.0f;
         if (moves) frames = fast_min(frames, history_frames);
         const float variance = old.variance + (spread - old.variance) * fast_reciprocal(frames);
         float drift = 0.0f;
         if (old.found) {
-            const float history_light = luminance(history);
+            const float offset = (luminance(old.color) - local_light) * kept;  // of history, which it leaves of it
             const float deviation = fast_sqrt(fast_max(variance, old.variance));
-            const float residual =
-                (own_light - history_light) * fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
+            const float residual = (own_light - local_light - offset) *
+                                   fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
             drift = old.drift + (clamp(residual, -4.0f, 4.0f) - old.drift) * drift_rate;
-            const float distance = std::fabs(history_light - local_light);
+            const float distance = std::fabs(offset);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;
             if (distance > allowed) {
-                const float kept = allowed * fast_reciprocal(distance);
-                history = local + (history - local) * kept;
-                frames = fast_max(old_frames * kept, 1.0f) + 1.0f;
+                const float share = allowed * fast_reciprocal(distance);
+                frames = fast_max(old.frames * kept * share, 1.0f) + 1.0f;
                 if (moves) frames = fast_min(frames, history_frames);
+                kept *= share;
             }
+        }
+        const Vec3 sample = limited(own, limit);
+        Vec3 history = old.color;
+        if (kept < 1.0f) {
+            const Vec3 local = local_color(tile, s, place, near, limit, sample);
+            history = local + (history - local) * kept;
         }
         const float share = fast_reciprocal(frames);
         const Vec3 mean = history + (sample - history) * share;
         out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance * share});
-        out_moments[s].store(pixel, {frames, variance, drift, kept_of_change < 1.0f ? 1.0f : 0.0f});
+        out_moments[s].store(pixel, {frames, variance, drift, changed ? 1.0f : 0.0f});
         return frames;
+    }
+
+    // Mean of the 3x3 samples.
+    SVGF_HD Vec3 local_color(const Tile& tile, int s, int place, Neighbours near, float limit, Vec3 sample) const {
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            if (near.has(n)) sample += limited(tile.color[s][place + neighbour(n)], limit);
+        return sample * fast_reciprocal(float(near.count + 1));
     }
 
     // Luminance of a sample by what the filter made of history, and by the neighbours; without either, its own. others:
