@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -94,15 +95,21 @@ def _reset_reasons(frame: Frame) -> np.ndarray:
 def _bad_values(frame: Frame) -> np.ndarray:
     """What the path tracer saw, dimmed, with values that no picture may hold in a colour of their own."""
     bad = find_bad_values(frame)
-    grey = np.nan_to_num(frame.noisy, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1).mean(axis=-1) * 0.3
+    grey = 0.1 * sum(_limited(channel, 1) for channel in _channels(frame.noisy))
     return np.where(bad[..., None], np.float32(_BAD_COLOR), grey[..., None])
 
 
 def find_bad_values(frame: Frame) -> np.ndarray:
     """bool [H, W]: pixels with an input that is not finite, or with light less than none; the denoiser repairs them."""
     # A sum is finite only where all of its terms are.
-    total = frame.depth + sum(image.sum(axis=-1) for image in (frame.noisy, frame.albedo, frame.normal, frame.motion))
-    return ~np.isfinite(total) | (frame.noisy.min(axis=-1) < 0)
+    images = (frame.noisy, frame.albedo, frame.normal, frame.motion)
+    total = sum((channel for image in images for channel in _channels(image)), frame.depth)
+    return ~np.isfinite(total) | (functools.reduce(np.minimum, _channels(frame.noisy)) < 0)
+
+
+def _channels(image: np.ndarray) -> Iterator[np.ndarray]:
+    """One after the other: numpy is slow where the innermost axis is short."""
+    return (image[..., channel] for channel in range(image.shape[-1]))
 
 
 def _history(frame: Frame) -> np.ndarray:
@@ -186,8 +193,7 @@ def paint(frame: Frame, look: Look) -> np.ndarray:
 
 
 def _fill(pixels: np.ndarray, image: np.ndarray, largest: float) -> None:
-    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in a processor's cache,
-    and channel by channel, because numpy is slow where the innermost axis is short."""
+    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in a processor's cache."""
     image = image[::-1]
 
     def fill_rows(start: int) -> None:

@@ -114,7 +114,7 @@ def test_svgf_plus_comes_to_rest_at_the_same_picture(scene):
         root_mean_square(settings, samples, exported, truth)
         for settings, samples in ((Settings(), SAMPLES // 4), (Settings(), 4 * SAMPLES), (center, 4 * SAMPLES))
     )
-    assert many < mean and many < few / 2
+    assert many < 1.1 * mean and many < few / 2
 
 
 def root_mean_square(settings: Settings, samples: int, exported, truth: np.ndarray) -> float:

@@ -22,7 +22,9 @@ import bpy
 from window import (
     ARGUMENTS,
     areas,
+    drag_edge,
     memory_mb,
+    mouse,
     override,
     play,
     session,
@@ -146,29 +148,11 @@ def resizes(times: int) -> Iterator[float]:
     assert (frame.width, frame.height) == (-(-region.width // 4), -(-region.height // 4))
 
 
-def drag_edge(area: bpy.types.Area, distance: int) -> Iterator[float]:
-    """Moves the right edge of an area as a user does: the mouse is pressed on it, moved and let go."""
-    x, y = area.x + area.width, window().height - (area.y + area.height // 2)
-    mouse("mousemove", x, y)
-    yield 0.05
-    mouse("mousedown", 1)
-    yield 0.05
-    mouse("mousemove", x + distance, y)
-    yield 0.05
-    mouse("mouseup", 1)
-    yield 0.1
-
-
 def resize_window(width: int, height: int) -> Iterator[float]:
     search = ["xdotool", "search", "--onlyvisible", "--class", "blender"]
     found = subprocess.run(search, check=True, capture_output=True, text=True).stdout.split()
     mouse("windowsize", found[-1], width, height)
     yield 0.2
-
-
-def mouse(*command: str | int) -> None:
-    """From outside, as a user does."""
-    subprocess.run(["xdotool", *map(str, command)], check=True)
 
 
 def window_region() -> bpy.types.Region:

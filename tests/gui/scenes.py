@@ -16,9 +16,23 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
 from mathutils import Quaternion
-from window import ARGUMENTS, areas, override, picture, play, session, settled, space, start_engine, views, window
+from window import (
+    ARGUMENTS,
+    areas,
+    drag_edge,
+    override,
+    picture,
+    play,
+    session,
+    settled,
+    space,
+    start_engine,
+    views,
+    window,
+)
 
 # After window, which finds them.
+from svgf_blender.ui.statistics import SVGF_PT_effects
 from svgf_blender.viewport.picture import OVERLAYS
 
 
@@ -82,10 +96,11 @@ def script() -> Iterator[float]:
     with override():
         bpy.ops.screen.region_quadview()
 
-    area = areas("PROPERTIES")[0]
-    with bpy.context.temp_override(window=window(), area=area, region=area.regions[-1]):
-        bpy.ops.screen.screen_full_area(use_hide_panels=False)
-    yield from picture(f"{name}_panel")
+    window().scene.render.film_transparent = False
+    yield from drag_edge(areas("VIEW_3D")[0], -window().width // 4)
+    bpy.ops.svgf.measure_effects()
+    yield from settled(120)
+    yield from picture(f"{name}_panels")
 
 
 def _is_movable(each: bpy.types.Object) -> tuple[bool, int]:
@@ -93,4 +108,5 @@ def _is_movable(each: bpy.types.Object) -> tuple[bool, int]:
     return max(each.dimensions) < 2.5, len(each.data.polygons)
 
 
+SVGF_PT_effects.bl_options = set()  # open from the start
 play(script)
