@@ -65,8 +65,8 @@ struct Antialias : Tiles {
     float* out_color;  // [H, W, 3]
 
     int bytes_per_pixel() const {
-        return modulate.read_bytes_per_pixel() + Storage::guide_bytes + (has_history ? 2 : 1) * Storage::color_bytes +
-               (in_motion ? 4 * motion_channels : 0) + 12 + 4;
+        return modulate.bytes_per_pixel_but_color() + Storage::guide_bytes +
+               (has_history ? 2 : 1) * Storage::color_bytes + (in_motion ? 4 * motion_channels : 0) + 12;
     }
 
     SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
@@ -75,14 +75,9 @@ struct Antialias : Tiles {
         return {modulate.fetch(pixel), guides.depth(pixel), owns(tile_column, tile_row, x, y) ? pixel : -1};
     }
     SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
-        int repaired = 0;
-        float variance;
-        const Vec3 color = modulate.radiance(texel.filtered, variance, repaired);
-        if (texel.own_pixel >= 0) {
-            modulate.out_variance[texel.own_pixel] = variance;
-            count(modulate.out_repaired, repaired);
-        }
-        tile.color[place] = with_brightness(color);
+        const auto radiance = modulate.unpack(texel.filtered);
+        if (texel.own_pixel >= 0) modulate.write_all_but_color(texel.own_pixel, texel.filtered, radiance);
+        tile.color[place] = with_brightness(radiance.color);
         tile.depth[place] = texel.depth;
         tile.log_brightness[place] = fast_log2(tile.color[place].w);
     }

@@ -288,21 +288,6 @@ struct StoreColor {
     }
 };
 
-// That of the last level of svgf+: history takes the squared luminance in the variance's place, see temporal_plus.h.
-template <class Storage, int Signals>
-struct StoreFiltered {
-    typename Storage::Color out_color[Signals], history[Signals];
-
-    int sink_bytes_per_pixel() const { return 3 * Signals * Storage::color_bytes; }
-
-    SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
-        for (int s = 0; s < Signals; ++s) {
-            out_color[s].store(pixel, color[s]);
-            history[s].store_variance(pixel, square(luminance(color[s].xyz())));
-        }
-    }
-};
-
 template <int Signals>
 struct EdgeAvoiding {
     FloatStorage::Guides guides;

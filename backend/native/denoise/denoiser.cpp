@@ -53,23 +53,6 @@ struct Sequence {
 template <class First, class Second>
 Sequence(First, Second) -> Sequence<First, Second>;
 
-// Hands on what there is, without a level that could.
-template <class Storage, int Signals>
-struct Pass {
-    FrameSize size;
-    typename Storage::Color in_color[Signals];
-    StoreFiltered<Storage, Signals> sink;
-
-    int bytes_per_pixel() const { return Signals * Storage::color_bytes + sink.sink_bytes_per_pixel(); }
-
-    SVGF_HD void operator()(int x, int y) const {
-        const int pixel = size.pixel(x, y);
-        Vec4 color[Signals];
-        for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
-        sink(pixel, color);
-    }
-};
-
 }  // namespace
 
 std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name) {
@@ -268,28 +251,17 @@ void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outpu
     using Storage = Plus::Storage;
     temporal_plus<Signals>(inputs, outputs.history_length);
     if (diagnostics_) diagnose<Storage, Signals>(inputs);
-    // The last level ends in scratch, as working lies in the image that the last stage writes. It writes to history,
-    // too, so the first one, which reads it, cannot be the last.
-    const int last = levels() - 1;
+    // The last level ends in scratch, as working lies in the image that the last stage writes.
     Place place = Place::history;
-    for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
-        const Place next = last == level || (last - level) % 2 ? Place::working : Place::scratch;
+    for (int level = 0; level < levels(); ++level) {
+        const Place next = (levels() - level) % 2 ? Place::scratch : Place::working;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
-    StoreFiltered<Storage, Signals> filtered;
-    for (int s = 0; s < Signals; ++s) {
-        filtered.out_color[s] = color_of<Storage>(Place::scratch, s);
-        filtered.history[s] = color_of<Storage>(Place::history, s);
-    }
-    if (last >= 1) {
-        atrous<Plus, Signals>("atrous", last, place, filtered);
-    } else {
-        Pass<Storage, Signals> stage{{width_, height_}, {}, filtered};
-        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(place, s);
-        launch("atrous none", stage);
-    }
+    if (levels() == 0)
+        device_.copy(next_history_.data(), history_.data(), Signals * pixels() * Storage::color_bytes);
     auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, Place::scratch);
+    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
     modulate_stage.out_history_length = nullptr;
     const bool antialiases = settings_.antialias_frames > 1.0f;
     if (antialiases)

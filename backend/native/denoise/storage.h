@@ -95,6 +95,8 @@ struct FloatStorage {
         SVGF_HD float variance(int pixel) const { return texels[pixel].w; }
         SVGF_HD void store(int pixel, Vec4 color) const { texels[pixel] = color; }
         SVGF_HD void store_variance(int pixel, float variance) const { texels[pixel].w = variance; }
+        // texel: what is there.
+        SVGF_HD void store_variance(int pixel, const Texel&, float variance) const { store_variance(pixel, variance); }
     };
 
     // mean, variance of luminance over time
@@ -204,8 +206,11 @@ struct PackedStorage {
             texels[pixel] = encode_color(color.xyz(), fast_sqrt(color.w));
         }
         SVGF_HD void store_variance(int pixel, float variance) const {
-            PackedColor& texel = texels[pixel];
-            texel.high = (texel.high & 0x1ffffu) | encode_positive<8>(fast_sqrt(variance)) << 17;
+            store_variance(pixel, texels[pixel], variance);
+        }
+        // texel: what is there.
+        SVGF_HD void store_variance(int pixel, const Texel& texel, float variance) const {
+            texels[pixel].high = (texel.high & 0x1ffffu) | encode_positive<8>(fast_sqrt(variance)) << 17;
         }
     };
 
