@@ -11,7 +11,7 @@ namespace {
 
 // Leaves that opening may lead to, for each instance and in all: moving an object builds the top level anew, which has
 // to stay far below a millisecond.
-constexpr std::size_t leaves_per_instance = 20, most_opened_leaves = 2048;
+constexpr std::size_t leaves_per_instance = 32, most_opened_leaves = 2048;
 
 constexpr TopLeaf whole(std::int32_t instance) { return {instance, 0, 1u << 31}; }
 
@@ -46,8 +46,8 @@ struct Part {
     bool operator<(const Part& other) const { return box.half_area() < other.box.half_area(); }
 };
 
-// Whether an instance shares most of its space with another one. Only the largest are looked at: small ones have few rays
-// to share.
+// Whether an instance shares much of its space with another one. Only the largest are looked at: small ones meet few
+// rays.
 class OverlapsAnother {
 public:
     explicit OverlapsAnother(std::span<const Part> parts) {

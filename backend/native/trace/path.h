@@ -103,7 +103,8 @@ struct PathVertices {
             return false;
         }
         if (path.ends && scene.last_hits_are_dark && !path.measures_distance) return false;
-        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
+        Surface surface =
+            find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
         if (!is_known && max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.

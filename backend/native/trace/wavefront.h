@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "path" on the GPU: all paths go from vertex to vertex together, in three launches each [Laine13].
 //
-//   extend  closest hits of the rays that the paths follow
+//   extend  closest hits of the rays that the paths follow; of their last ones, mostly, whether there are any
 //   shade   light found at the vertices, the paths' next rays and their shadow rays
 //   shadow  whether the shadow rays arrive
 //
