@@ -4,8 +4,8 @@
 //
 // A path's ray passes a cut-out or not by a random number of the triangle's own, so that it does not matter in which
 // order triangles are met. Shadow rays take the share that is let through: in Sponza, whose plants and chains are cut
-// out, they cost 2.0 instead of 11.9 ms (H200, 1920x1080, one bounce) since no surface ends the traversal of another. Surfaces whose tint, parts or emission only
-// shading knows (OpacityClass::shaded) stop a path's ray; trace/path.h sends it on from there.
+// out, they cost 2.0 instead of 11.9 ms (H200, 1920x1080, one bounce) since no surface ends the traversal. Surfaces
+// whose tint, parts or emission only shading knows (OpacityClass::shaded) stop a path's ray; trace/path.h sends it on.
 #pragma once
 
 #include "core/effects.h"
