@@ -173,7 +173,7 @@ def _joined(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _mapped(node: bpy.types.Node, vector: Expression) -> Expression:
-    """Through the mapping that texture nodes had before there were Mapping nodes. As in Cycles its limits do nothing."""
+    """Through the mapping that texture nodes had before there were Mapping nodes. Its limits do nothing in Cycles."""
     settings = node.texture_mapping
     axes = settings.mapping_x, settings.mapping_y, settings.mapping_z
     if axes != ("X", "Y", "Z"):
