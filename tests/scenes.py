@@ -395,6 +395,26 @@ def closed_box(material: Material) -> Scene:
     return build([(cube(2.0, inwards=True), transform(), [material] * 6)], view)
 
 
+def chains_scene() -> Scene:
+    """Moving mirrors, a moving camera and glass: a mirror for a floor, a chrome and a glass ball, a glowing pane, a
+    lamp and a sky."""
+    glow = Material("glow", base_color=(0.5, 0.4, 0.3), emission=(2.0, 1.0, 0.5), specular_ior_level=0.0)
+    objects = [
+        (quad(4.0), transform((0, 0, 0), rotation("x", 0.04)), [MIRROR], transform((0, 0, -0.03))),
+        (sphere(0.4, rows=16), transform((0.6, 0.2, 0.5)), [MIRROR], transform((0.5, 0.2, 0.5), rotation("z", 0.1))),
+        (sphere(0.4, rows=16), transform((-0.5, -0.1, 0.45)), [GLASS]),
+        (quad(0.8), transform((0, 1.0, 0.7), rotation("x", 1.2)), [glow], transform((0.1, 1.0, 0.7), rotation("x", 1))),
+        (sphere(0.25, rows=8), transform((0.1, 0.0, 0.3)), [GLOSSY]),
+    ]
+    return build(
+        objects,
+        camera((0.4, -3.0, 1.6), (0, 0, 0.4)),
+        [lamp(LightKind.POINT)],
+        previous_view=camera((0.3, -3.1, 1.5), (0.05, 0, 0.4)),
+        world=World((0.1, 0.1, 0.2)),
+    )
+
+
 def device_scenes() -> dict[str, Scene]:
     """What every device must trace alike."""
     scenes = {
@@ -409,6 +429,7 @@ def device_scenes() -> dict[str, Scene]:
         "cutouts": cutout_scene(),
         "visibility": visibility_scene(),
         "limited": limited_scene(),
+        "chains": chains_scene(),
         "orthographic": orthographic(moving_scene()),
         "out_of_focus": out_of_focus(moving_scene()),
         "polygon_aperture": out_of_focus(textured_scene(), blades=5, rotation=0.3, ratio=2.0),

@@ -17,7 +17,9 @@ from svgf.cycles.image import MultilayerImage
 from svgf.cycles.inputs import Reading, layer_inputs
 from svgf.cycles.passes import LIGHT_PASSES
 from svgf.denoiser import Denoiser
+from svgf.diagnostics import ResetReason
 from svgf.io import exr
+from svgf.passes import DIAGNOSTIC_PASSES
 from svgf.sequence import find_sequence
 
 from .cycles_files import HEIGHT, WIDTH, Format, Passes, Shot, combined, done, refused, run, write_shot
@@ -364,3 +366,25 @@ def test_no_such_input(tmp_path: Path) -> None:
     assert "there is no such file or folder" in refused(tmp_path / "none", tmp_path / "out")
     assert "names no .exr file" in refused(tmp_path, tmp_path / "out")
     assert "names no .exr file" in refused(tmp_path / "a_####.exr", tmp_path / "out")
+
+
+@pytest.mark.parametrize("version", ["4.5", "5.0"])
+def test_diagnostics_are_passes_beside_combined(tmp_path: Path, version: str) -> None:
+    source = write_shot(tmp_path / "in", range(1, 4), Format(version, np.float16))
+    done(source, tmp_path / "plain")
+    done(source, tmp_path / "out", "--diagnostics")
+    passes = exr.read(tmp_path / "out" / "frame_0003.exr")
+    reasons = passes["ViewLayer.Reset Reason"]
+    card = passes[f"ViewLayer.{'IndexOB' if version == '4.5' else 'Object Index'}"] == 1
+    assert (reasons[: 6][~card[:6]] == ResetReason.BACKGROUND).all()
+    assert (reasons == ResetReason.KEPT).mean() > 0.5
+    assert passes["ViewLayer.History Length"].max() == 3.0
+    # The file's vectors are exact, and depth is the same all over a card that faces the camera.
+    assert passes["ViewLayer.Motion Error"].max() < 0.1
+    assert not passes["ViewLayer.Repaired Values"].any()
+    plain = exr.read(tmp_path / "plain" / "frame_0003.exr")
+    assert passes.keys() - plain.keys() == {
+        f"ViewLayer.{name}" for name in (*DIAGNOSTIC_PASSES, "History Length", "Variance")
+    }
+    for name, image in plain.items():
+        np.testing.assert_array_equal(passes[name], image)

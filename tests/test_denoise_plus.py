@@ -26,11 +26,11 @@ def make_plus_images(rng, signals=2):
     for s in range(signals):
         frames = rng.integers(1, 9, (HEIGHT, WIDTH)) * (images["object_id"] != 0)
         images[f"hist_filtered{s}"] = rng.gamma(1.0, 0.1, frames.shape).astype(np.float32)
-        # Numbers that the packing keeps exactly: 6 bits of deviation, steps of 1/16 of drift.
-        mantissa, exponent = np.frexp(rng.gamma(1.0, 1.0, frames.shape))
-        deviation = np.ldexp(np.round(mantissa * 64.0) / 64.0, exponent)
+        # Numbers that the packing keeps exactly: 5 bits of variance, steps of 1/16 of drift.
+        mantissa, exponent = np.frexp(rng.gamma(1.0, 1.0, frames.shape) ** 2)
+        variance = np.ldexp(np.round(mantissa * 32.0) / 32.0, exponent)
         drift = np.round(rng.normal(0.0, 0.5, frames.shape) * 16.0) / 16.0
-        images[f"hist_moments{s}"] = np.stack([frames, deviation**2, drift, 0.0 * drift], axis=-1).astype(np.float32)
+        images[f"hist_moments{s}"] = np.stack([frames, variance, drift, 0.0 * drift], axis=-1).astype(np.float32)
     return images
 
 
@@ -59,7 +59,7 @@ def test_temporal_agrees(device, signals, channels):
     for s in range(signals):
         largest = np.maximum(images[f"hist_color{s}"], images[f"illumination{s}"]).max()
         assert_colors_agree(actual[f"color{s}"], expected[f"color{s}"], 0.99, COLOR_ERROR * largest)
-        # Deviations keep 6 bits and are rounded at random, twice; drift has steps of 1/16.
+        # Variances keep 5 bits and are rounded at random, twice; drift has steps of 1/16.
         good = np.isclose(actual[f"variance{s}"], expected[f"variance{s}"], rtol=0.08, atol=1e-5)
         assert good[surface].mean() >= 0.99
         good = np.isclose(actual[f"moments{s}"], expected[f"moments{s}"], rtol=0.12, atol=0.05)
@@ -140,9 +140,10 @@ def test_constant_radiance_is_a_fixed_point(device):
 
 
 def test_energy_of_a_settled_scene(device):
-    """The mean over 40 frames and all pixels, within 0.5 %; that of so many samples strays by 0.23 %."""
+    """After 96 frames the picture's mean is that of all samples, within 0.5 %. (0.22 % less, over 8 seeds, which stray
+    from that by 0.1 %. After 40 frames it is 0.5 % less: what the filter makes of skewed noise is not forgotten yet.)"""
     rng = np.random.default_rng(25)
-    frames = [noisy_frame(rng) for _ in range(40)]
+    frames = [noisy_frame(rng) for _ in range(96)]
     denoiser = Denoiser(40, 24, device, "svgf+")
     for frame in frames:
         result = denoiser.denoise(frame)
@@ -205,6 +206,16 @@ def test_a_still_view_converges_to_its_samples(device):
         total += frame["diffuse"]
         result = denoiser.denoise(frame)
     assert relative_mse(result["color"], truth) <= 1.1 * relative_mse(total / 1024, truth)
+
+
+@pytest.mark.parametrize(("rate", "frames"), [(10.0, 5.0), (24.0, 12.0)])
+def test_history_is_as_long_as_its_seconds(device, rate, frames):
+    denoiser = Denoiser(40, 24, device, "svgf+", DenoiseSettings(history_seconds=0.5, frame_rate=rate))
+    frame = make_frame()
+    frame["motion"][..., 0] = 0.25
+    for _ in range(20):
+        result = denoiser.denoise(frame)
+    np.testing.assert_array_equal(result["history_length"][:, :-8], frames)
 
 
 def test_a_zoom_keeps_its_history(device):

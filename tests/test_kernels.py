@@ -11,9 +11,10 @@ from svgf.effects import Effects, find_effects
 from svgf.flatten import flatten
 
 from . import scenes
+from .material_cases import varied_scenes
 from .tracing import trace
 
-SCENES = scenes.device_scenes()
+SCENES = {**scenes.device_scenes(), "coat": varied_scenes()["lit_coat"]}
 
 
 def test_kernels_go_from_the_cheapest_to_the_one_that_covers_all(device):

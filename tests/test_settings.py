@@ -45,6 +45,14 @@ def test_denoise_settings_as_dict_and_back():
         DenoiseSettings.from_dict({"sigma_luminence": 4.0})
 
 
+@pytest.mark.parametrize(
+    ("seconds", "rate", "frames"),
+    [(0.0, 60.0, 20.0), (0.5, 30.0, 15.0), (0.5, 144.0, 72.0), (1e-3, 24.0, 1.0), (3600.0, 1e5, 4096.0)],
+)
+def test_history_in_seconds(seconds, rate, frames):
+    assert DenoiseSettings(history_seconds=seconds, frame_rate=rate).longest_history == frames
+
+
 def test_levels_are_whole():
     with pytest.raises(InputError, match="levels is 2.5. Give a whole number"):
         DenoiseSettings(levels=2.5)

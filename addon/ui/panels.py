@@ -27,7 +27,7 @@ _BORROWED = {
 
 
 # Settings of denoisers that are for artists; the others are the papers' own.
-_EVERYDAY = {"levels", "history_frames", "firefly_limit"}
+_EVERYDAY = {"levels", "history_frames", "history_seconds", "firefly_limit"}
 # Settings of svgf that svgf+ reads too.
 _SHARED = {"sigma_depth", "depth_tolerance", "normal_tolerance"}
 _OWN_LIGHT_PATHS = ("bounces", None, *(item.name for item in fields(LightPaths)))
@@ -118,10 +118,10 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
         for item in fields(DenoiseSettings):
             if item.name in _EVERYDAY and _is_read_by(settings.method, item):
                 column.prop(settings.denoise, item.name)
-            if item.name == "history_frames" and _is_read_by(settings.method, item):
-                render = context.scene.render
-                seconds = settings.denoise.history_frames * render.fps_base / render.fps
-                column.label(text=f"{seconds:.2f} s of history in playback")
+            if item.name == "history_seconds" and _is_read_by(settings.method, item):
+                denoise = settings.to_settings().denoise
+                seconds = denoise.longest_history / denoise.frame_rate
+                column.label(text=f"{seconds:.2f} s in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
@@ -136,7 +136,8 @@ class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         settings, column = context.scene.svgf, self.columns()
         for item in fields(DenoiseSettings):
-            if item.name not in _EVERYDAY and _is_read_by(settings.method, item):
+            own = item.name in settings.denoise.bl_rna.properties
+            if own and item.name not in _EVERYDAY and _is_read_by(settings.method, item):
                 symbol = item.metadata["symbol"]
                 name = settings.denoise.bl_rna.properties[item.name].name
                 column.prop(settings.denoise, item.name, text=f"{name} ({symbol})" if symbol else name)

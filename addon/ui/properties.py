@@ -116,8 +116,10 @@ SVGFDenoiseSettings = type(
     "SVGFDenoiseSettings",
     (bpy.types.PropertyGroup,),
     {
-        "__doc__": "svgf.DenoiseSettings, field by field.",
-        "__annotations__": {item.name: _number_property(item) for item in fields(DenoiseSettings)},
+        "__doc__": "svgf.DenoiseSettings, field by field; the frame rate is that of Blender's output.",
+        "__annotations__": {
+            item.name: _number_property(item) for item in fields(DenoiseSettings) if item.name != "frame_rate"
+        },
     },
 )
 
@@ -273,7 +275,9 @@ class SVGFSettings(bpy.types.PropertyGroup):
 
     def to_settings(self, samples: int | None = None) -> Settings:
         """The settings of a render; samples: instead of the file's. Raises InputError like Settings."""
-        denoise = {item.name: _as_written(getattr(self.denoise, item.name)) for item in fields(DenoiseSettings)}
+        names = [item.name for item in fields(DenoiseSettings) if item.name != "frame_rate"]
+        denoise = {name: _as_written(getattr(self.denoise, name)) for name in names}
+        render = self.id_data.render
         light_paths = {}
         if self.use_own_light_paths:
             names = ("bounces", *(item.name for item in fields(LightPaths)))
@@ -285,7 +289,7 @@ class SVGFSettings(bpy.types.PropertyGroup):
             method=self.method,
             signals=self.signals,
             pixel_filter=self.pixel_filter,
-            denoise=DenoiseSettings(**denoise),
+            denoise=DenoiseSettings(**denoise, frame_rate=render.fps / render.fps_base),
         )
 
 

@@ -20,6 +20,7 @@ _EFFECTS = {
     Effects.TEXTURES: "Image textures",
     Effects.SPECULAR: "Reflections",
     Effects.TRANSMISSION: "Glass",
+    Effects.PERFECT_SPECULAR: "Mirrors and clear glass",
     Effects.MESH_LIGHTS: "Emissive meshes",
     Effects.DELTA_LIGHTS: "Lamps without size",
     Effects.AREA_LIGHTS: "Lamps with size",
@@ -61,7 +62,8 @@ class SVGF_PT_cost(_StatisticsPanel, bpy.types.Panel):
             return
         for stage, milliseconds in frame.timings.items():
             _row(column, stage, f"{milliseconds:.1f} ms")
-        _row(column, "all in all", f"{result.milliseconds:.1f} ms")
+        _row(column, "view", f"{result.painting:.1f} ms")
+        _row(column, "all in all", f"{result.milliseconds + result.painting:.1f} ms")
         column.separator()
         divided = f" (1/{session.divisor})" if session.divisor > 1 else ""
         _row(column, "Resolution", f"{frame.width} x {frame.height}{divided}")

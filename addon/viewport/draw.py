@@ -26,13 +26,23 @@ class PictureTexture:
         self._texture: gpu.types.GPUTexture | None = None
         self._picture: np.ndarray | None = None
 
+    def upload(self, picture: np.ndarray) -> None:
+        """Unless it is there already. No pixel is touched in Python: the buffer is the picture's own memory."""
+        if picture is self._picture:
+            return
+        height, width = picture.shape[:2]
+        self._texture = None  # the old one is free before the new one asks for memory
+        pixels = gpu.types.Buffer("FLOAT", picture.size, picture.reshape(-1))
+        self._texture = gpu.types.GPUTexture((width, height), format="RGBA32F", data=pixels)
+        self._picture = picture
+
     def draw_light(
         self, engine: bpy.types.RenderEngine, scene: bpy.types.Scene, picture: np.ndarray, part: Part, region
     ) -> None:
         """Linear radiance, before Blender's view transform. picture: float32 [H, W, 4], finite in half, alpha
         premultiplied. part: of the region, where it goes.
         """
-        self._upload(picture)
+        self.upload(picture)
         left, bottom, right, top = part
         engine.bind_display_space_shader(scene)
         gpu.state.blend_set("ALPHA_PREMULT")
@@ -43,18 +53,9 @@ class PictureTexture:
 
     def draw_data(self, picture: np.ndarray, part: Part) -> None:
         """Numbers from 0 to 1 as the screen's own, after the view transform; in a draw handler of the view."""
-        self._upload(picture)
+        self.upload(picture)
         left, bottom, right, top = part
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_identity()
             gpu.matrix.load_projection_matrix(_UNIT_SQUARE)
             draw_texture_2d(self._texture, (left, bottom), right - left, top - bottom)
-
-    def _upload(self, picture: np.ndarray) -> None:
-        if picture is self._picture:
-            return
-        height, width = picture.shape[:2]
-        self._texture = None  # the old one is free before the new one asks for memory
-        pixels = gpu.types.Buffer("FLOAT", picture.size, picture.reshape(-1))
-        self._texture = gpu.types.GPUTexture((width, height), format="RGBA32F", data=pixels)
-        self._picture = picture

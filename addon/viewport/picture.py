@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from svgf.frame import Frame
 
+_ROWS = 64  # that are painted at once
+_THREADS = min(4, os.cpu_count() or 1)
 _LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
@@ -90,15 +95,21 @@ def _reset_reasons(frame: Frame) -> np.ndarray:
 def _bad_values(frame: Frame) -> np.ndarray:
     """What the path tracer saw, dimmed, with values that no picture may hold in a colour of their own."""
     bad = find_bad_values(frame)
-    grey = np.nan_to_num(frame.noisy, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1).mean(axis=-1) * 0.3
+    grey = 0.1 * sum(_limited(channel, 1) for channel in _channels(frame.noisy))
     return np.where(bad[..., None], np.float32(_BAD_COLOR), grey[..., None])
 
 
 def find_bad_values(frame: Frame) -> np.ndarray:
     """bool [H, W]: pixels with an input that is not finite, or with light less than none; the denoiser repairs them."""
     # A sum is finite only where all of its terms are.
-    total = frame.depth + sum(image.sum(axis=-1) for image in (frame.noisy, frame.albedo, frame.normal, frame.motion))
-    return ~np.isfinite(total) | (frame.noisy.min(axis=-1) < 0)
+    images = (frame.noisy, frame.albedo, frame.normal, frame.motion)
+    total = sum((channel for image in images for channel in _channels(image)), frame.depth)
+    return ~np.isfinite(total) | (functools.reduce(np.minimum, _channels(frame.noisy)) < 0)
+
+
+def _channels(image: np.ndarray) -> Iterator[np.ndarray]:
+    """One after the other: numpy is slow where the innermost axis is short."""
+    return (image[..., channel] for channel in range(image.shape[-1]))
 
 
 def _history(frame: Frame) -> np.ndarray:
@@ -170,17 +181,33 @@ def paint(frame: Frame, look: Look) -> np.ndarray:
     """float32 [H, W, 4], bottom row first, alpha premultiplied, finite: what a half-float texture takes."""
     overlay = OVERLAYS[look.overlay]
     image = overlay.image(frame)
-    image = image if image.ndim == 3 else image[..., None]
     pixels = np.empty((frame.height, frame.width, 4), np.float32)
-    pixels[..., 3] = 1
-    pixels[..., :3] = _limited(image, 1 if overlay.is_data else _LARGEST_HALF)[::-1]
+    _fill(pixels, image if image.ndim == 3 else image[..., None], 1 if overlay.is_data else _LARGEST_HALF)
     if look.overlay == "split":
         column = round(look.split * frame.width)
-        pixels[:, :column, :3] = _limited(frame.noisy[::-1, :column], _LARGEST_HALF)
+        _fill(pixels[:, :column], frame.noisy[:, :column], _LARGEST_HALF)
         pixels[:, max(column - 1, 0) : column] = 1
     if look.overlay in ("result", "split") and frame.alpha is not None:
         pixels[..., 3] = _limited(frame.alpha, 1)[::-1]
     return pixels
+
+
+def _fill(pixels: np.ndarray, image: np.ndarray, largest: float) -> None:
+    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in a processor's cache."""
+    image = image[::-1]
+
+    def fill_rows(start: int) -> None:
+        rows, limited = pixels[start : start + _ROWS], _limited(image[start : start + _ROWS], largest)
+        for channel in range(3):
+            rows[..., channel] = limited[..., channel % image.shape[2]]
+        rows[..., 3] = 1
+
+    starts = range(0, len(pixels), _ROWS)
+    if len(starts) == 1:
+        fill_rows(0)
+        return
+    with ThreadPoolExecutor(_THREADS, "svgf paint") as threads:  # numpy lets go of Python while it works
+        list(threads.map(fill_rows, starts))
 
 
 def _limited(image: np.ndarray, largest: float) -> np.ndarray:

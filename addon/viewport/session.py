@@ -136,7 +136,7 @@ class ViewSession:
         """The scene with the size that the budget allows."""
         frame, defaults = self.result.frame, scene.defaults
         if frame is not None:
-            milliseconds = self.result.milliseconds - frame.timings.get("update", 0.0)
+            milliseconds = self.result.milliseconds - frame.timings.get("update", 0.0) + self.result.painting
             self._resolution.measure(milliseconds, frame.width * frame.height)
         divisor = self._resolution.choose(defaults.width * defaults.height, budget, time.monotonic(), changed)
         size = {name: -(-getattr(defaults, name) // divisor) for name in ("width", "height")}
@@ -153,7 +153,7 @@ class ViewSession:
             return self.error
         if result.frame is None:
             return "Rendering the first frame"
-        parts = [f"Sample {result.samples}/{self.sample_limit}", f"{result.milliseconds:.0f} ms"]
+        parts = [f"Sample {result.samples}/{self.sample_limit}", f"{result.milliseconds + result.painting:.0f} ms"]
         if self.divisor > 1:
             parts.append(f"1/{self.divisor} resolution")
         return " | ".join([*parts, *([result.note] if result.note else [])])

@@ -80,11 +80,9 @@ def sessions_of(scene: bpy.types.Scene) -> list[ViewSession]:
     return sorted(found, key=lambda session: session.result.number)
 
 
-def close_all(*_arguments) -> None:
+def close_all() -> None:
     """Waits for all workers to end."""
-    while _sessions:
-        _, (session, _) = _sessions.popitem()
-        session.close()
+    _stop_all()
     while _stopped:
         _stopped.pop().close()
 
@@ -194,8 +192,12 @@ def _refresh_panels() -> None:
 
 
 @bpy.app.handlers.persistent
-def _close_all(*_arguments) -> None:
-    close_all()
+def _stop_all(*_arguments) -> None:
+    """Ends all sessions, but does not wait for the frames in the making: they hold nothing of Blender's."""
+    while _sessions:
+        _, (session, _) = _sessions.popitem()
+        session.stop()
+        _stopped.append(session)
 
 
 @bpy.app.handlers.persistent
@@ -207,7 +209,7 @@ def _forget_engines(*_arguments) -> None:
 
 def _handlers() -> Iterator[tuple[list, object]]:
     handlers = bpy.app.handlers
-    yield handlers.load_pre, _close_all
+    yield handlers.load_pre, _stop_all
     yield handlers.undo_post, _forget_engines
     yield handlers.redo_post, _forget_engines
 

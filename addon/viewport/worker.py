@@ -23,6 +23,7 @@ from .follow import follow, restart_reason
 from .picture import Look, paint
 
 _JOIN_SECONDS = 0.02
+_STATISTICS_SECONDS = 0.25  # between readings of images that only panels show
 _RUNS = 4  # launches with and without each effect that is measured
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
@@ -54,10 +55,10 @@ class Result:
 
     number: counts pictures and messages. request: the one that picture answers, as paint makes it. samples: frames
     since the view came to rest. reset: why history was last restarted. frames: frames since then. milliseconds: the
-    newest frame, all in all. noise: standard deviation of the picture's luminance as a share of its mean, NaN where
-    unknown. history: the longest of a pixel, in frames. costs: milliseconds that each effect adds to a frame, if they
-    were asked for. device: the hardware. error: what stops the picture from being renewed. note: what the user should
-    know besides.
+    newest frame, until it could be painted. painting: milliseconds from there to picture. noise: standard deviation of
+    the picture's luminance as a share of its mean, NaN where unknown. history: the longest of a pixel, in frames. Both
+    are renewed a few times a second. costs: milliseconds that each effect adds to a frame, if they were asked for.
+    device: the hardware. error: what stops the picture from being renewed. note: what the user should know besides.
     """
 
     number: int = 0
@@ -69,6 +70,7 @@ class Result:
     reset: str = ""
     frames: int = 0
     milliseconds: float = 0.0
+    painting: float = 0.0
     noise: float = math.nan
     history: float = 0.0
     costs: Mapping[Effects, float] = field(default_factory=dict)
@@ -96,6 +98,7 @@ class Worker:
         self._lost: set[str] = set()  # devices that failed
         self._done: Request | None = None  # the last request that was rendered
         self._failed: Request | None = None  # not tried again
+        self._counted = -math.inf  # when noise and history were last read, in seconds
         self._mean: np.ndarray | None = None  # [H, W, 3] colour of all frames since the view came to rest
         self._squares: np.ndarray | None = None  # [H, W] their luminance's sum of squared distances from it
 
@@ -197,8 +200,11 @@ class Worker:
         measuring = self._measuring
         if measuring:
             result = replace(result, costs=self._measure_effects(request))
+        start = time.perf_counter()
+        picture = paint(result.frame, request.look)
+        painting = (time.perf_counter() - start) * 1e3
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
-        self._publish(replace(result, request=request, picture=paint(result.frame, request.look), error=""))
+        self._publish(replace(result, request=request, picture=picture, painting=painting, error=""))
         self._done = request
         if measuring:
             self._measuring = False
@@ -216,6 +222,11 @@ class Worker:
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
+        milliseconds = (time.perf_counter() - start) * 1e3
+        noise, history = last.noise, last.history
+        if samples >= request.sample_limit or time.monotonic() >= self._counted + _STATISTICS_SECONDS:
+            noise, history = _noise(frame), float(frame.history_length.max())
+            self._counted = time.monotonic()
         return replace(
             last,
             scene=scene,
@@ -223,9 +234,9 @@ class Worker:
             samples=samples,
             reset=frame.reset or last.reset,
             frames=1 if frame.reset else last.frames + 1,
-            milliseconds=(time.perf_counter() - start) * 1e3,
-            noise=_noise(frame),
-            history=float(frame.history_length.max()),
+            milliseconds=milliseconds,
+            noise=noise,
+            history=history,
             device=renderer.device.description,
         )
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .devices import Device, open_device
+from .diagnostics import DIAGNOSTICS
 from .errors import InputError
 from .reference.denoiser import MAX_SIGNALS, SIGNAL_ALBEDOS
 from .settings import METHODS, DenoiseSettings, check_name
@@ -50,7 +51,7 @@ class Denoiser:
 
     width, height: of the images, pixels. device: a name for ``open_device``, or an opened Device. method: "svgf+",
     ours, "svgf" [Schied17], both of which reuse the frames before, "eaw" [Dammertz10] or "none". settings: see
-    DenoiseSettings; may be set again between frames.
+    DenoiseSettings; may be set again between frames. diagnostics: also make the images that ``diagnostics`` returns.
 
     Raises InputError, DeviceError, OutOfMemory.
     """
@@ -62,6 +63,7 @@ class Denoiser:
         device: str | Device = "auto",
         method: str = "svgf+",
         settings: DenoiseSettings | None = None,
+        diagnostics: bool = False,
     ) -> None:
         for name, value in (("width", width), ("height", height)):
             if not isinstance(value, (int, np.integer)) or value < 1:
@@ -71,6 +73,8 @@ class Denoiser:
         self.device = open_device(device) if isinstance(device, str) else device
         self._settings = settings or DenoiseSettings()
         self._native = self.device.denoiser(self.width, self.height, method, self._settings.as_dict())
+        self._diagnoses = diagnostics
+        self._diagnostics: dict[str, Any] = {}
         self._signals: list[str] = []
         self._next_reset = "first frame"
         self._last_reset = ""
@@ -109,6 +113,22 @@ class Denoiser:
         from them: luminance over albedo, summed over the pixels. Waits for the device."""
         samples, light = self._native.fireflies()
         return int(samples), float(light)
+
+    @property
+    def diagnostics(self) -> dict[str, Any]:
+        """Of the last frame, images [H, W] of its library: "motion_error" in pixels, "reset_reason" (``ResetReason``),
+        "repaired_values" and "suppressed_light"; see ``svgf.diagnostics``. Empty before the first frame. Raises
+        InputError where the denoiser was not made with diagnostics."""
+        if not self._diagnoses:
+            raise InputError("This denoiser makes no diagnostics.", "Make it with diagnostics=True.")
+        return dict(self._diagnostics)
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """svgf and svgf+: what the next frame starts from, numpy float32: per signal "color0" [H, W, 3], the temporal
+        mean of radiance over albedo, and for svgf+ "frames0" [H, W] in it; "1" for the second signal. Empty without
+        history. Waits for the device."""
+        return {name: np.asarray(image, np.float32) for name, image in self._native.history_images().items()}
 
     def denoise(self, inputs: Mapping[str, Any], stream: Any = None) -> dict[str, Any]:
         """Denoises the next frame.
@@ -153,7 +173,9 @@ class Denoiser:
         if not self._next_reset and signals != self._signals:
             self._next_reset = "the signals changed"
         try:
-            result = self._native.denoise(arrays, reset=bool(self._next_reset), **on_stream)
+            result = self._native.denoise(
+                arrays, reset=bool(self._next_reset), diagnostics=self._diagnoses, **on_stream
+            )
             repaired = {"repaired": self.repaired} if _dlpack_device(inputs[signals[0]]) in _DLPACK_HOST else {}
         except BaseException:
             self._next_reset = "the last frame was not finished"
@@ -161,7 +183,9 @@ class Denoiser:
         self._signals = signals
         self._last_reset, self._next_reset = self._next_reset, ""
         from_native = self._converter(inputs[signals[0]])
-        return {**{name: from_native(image) for name, image in result.items()}, **repaired}
+        images = {name: from_native(image) for name, image in result.items()}
+        self._diagnostics = {name: images.pop(name) for name in DIAGNOSTICS if name in images}
+        return {**images, **repaired}
 
     def _check(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         for name in inputs:

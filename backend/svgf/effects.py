@@ -20,7 +20,8 @@ class Effects(IntFlag):
     COAT, SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
     ENVIRONMENT_MAP: the world is an image. DEPTH_OF_FIELD: the lens has an opening. RAY_VISIBILITY: not all kinds of
     rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose
-    among them at every point anew.
+    among them at every point anew. PERFECT_SPECULAR: a material is a mirror or clear glass, without roughness and
+    nothing diffuse.
     """
 
     NONE = 0
@@ -45,7 +46,11 @@ class Effects(IntFlag):
     RAY_VISIBILITY = auto()
     LIGHT_PATH_LIMITS = auto()
     MANY_LIGHTS = auto()
+    PERFECT_SPECULAR = auto()
 
+
+# Below it a lobe is a mirror: alpha < 1e-3, see native/trace/microfacet.h.
+SMOOTH_ROUGHNESS = 1e-3**0.5
 
 MOTION_EFFECTS = Effects.CAMERA_MOTION | Effects.OBJECT_MOTION | Effects.DEFORMATION
 
@@ -170,10 +175,12 @@ def _material_effects(material: Material) -> Effects:
             effects |= Effects.SPECULAR if material.may_have("diffuse_roughness") else Effects.NONE
         case MaterialKind.GLOSSY:
             effects |= Effects.SPECULAR
+            effects |= Effects.PERFECT_SPECULAR if _may_be_smooth(material, "roughness") else Effects.NONE
             if "anisotropic" in material.maps or material.anisotropic != 0.0:
                 effects |= Effects.ANISOTROPY
         case MaterialKind.GLASS | MaterialKind.REFRACTION:
             effects |= Effects.SPECULAR | Effects.TRANSMISSION
+            effects |= Effects.PERFECT_SPECULAR if _may_be_clear(material) else Effects.NONE
         case MaterialKind.TRANSLUCENT:
             effects |= Effects.TRANSMISSION
         case MaterialKind.TRANSPARENT:
@@ -201,4 +208,21 @@ def _principled_effects(material: Material) -> Effects:
             effects |= Effects.ANISOTROPY
     if is_glass:
         effects |= Effects.TRANSMISSION
+    is_coated = material.may_have("coat_weight") and _may_be_smooth(material, "coat_roughness")
+    mirrors = effects & Effects.SPECULAR and (_may_be_smooth(material, "roughness") or is_coated)
+    is_black = "base_color" in material.maps or max(material.base_color) <= 0.0
+    has_no_base = is_black or any(
+        name in material.maps or getattr(material, name) >= 1.0 for name in ("metallic", "transmission")
+    )
+    if has_no_base and (mirrors or (is_glass and _may_be_clear(material))):
+        effects |= Effects.PERFECT_SPECULAR
     return effects
+
+
+def _may_be_smooth(material: Material, roughness: str) -> bool:
+    return roughness in material.maps or getattr(material, roughness) < SMOOTH_ROUGHNESS
+
+
+def _may_be_clear(material: Material) -> bool:
+    """Whether it may refract without roughness. Without an interface there is nothing rough about glass."""
+    return _may_be_smooth(material, "roughness") or "ior" in material.maps or material.ior == 1.0

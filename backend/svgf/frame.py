@@ -40,12 +40,15 @@ class Frame:
     the host when it is first read.
 
     color: [H, W, 3] denoised linear radiance. noisy: [H, W, 3] what the path tracer saw.
-    albedo: [H, W, 3] diffuse plus specular albedo. normal: [H, W, 3] world space, zero on the background.
+    albedo: [H, W, 3] diffuse plus specular albedo; in mirrors and clear glass what they are multiplied by times that of
+    what they show, and roughness: [H, W], of that, too. normal: [H, W, 3] world space, zero on the background.
     depth: [H, W] planar, metres, 1e10 on the background. motion: [H, W, 3] previous pixel position minus this one (x
-    right, y down, pixels) and expected previous depth minus this depth (metres). roughness: [H, W].
+    right, y down, pixels) and expected previous depth minus this depth (metres).
     object_id: int32 [H, W], 0 on the background. variance: [H, W] luminance variance that the filter left over.
     history_length: [H, W] number of frames in the temporal mean.
     alpha: [H, W] share of the pixel that the scene covers, by which color is multiplied; None if the film is opaque.
+    motion_error, reset_reason, repaired_values, suppressed_light: [H, W] as ``svgf.diagnostics`` says; None unless the
+    settings ask for diagnostics.
     timings: milliseconds per stage. reset: why history was restarted at this frame, empty when it went on.
     """
 
@@ -61,6 +64,10 @@ class Frame:
     variance: np.ndarray = _Image()
     history_length: np.ndarray = _Image()
     alpha: np.ndarray | None = _Image(None)
+    motion_error: np.ndarray | None = _Image(None)
+    reset_reason: np.ndarray | None = _Image(None)
+    repaired_values: np.ndarray | None = _Image(None)
+    suppressed_light: np.ndarray | None = _Image(None)
     timings: dict[str, float] = field(default_factory=dict)
     reset: str = ""
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
+from .diagnostics import DIAGNOSTICS
 from .frame import Frame
 
 
@@ -62,5 +64,14 @@ PASSES = {
             "Variance", "V", "(W/(m^2 sr))^2, of the luminance, left over by the filter", lambda frame: frame.variance
         ),
         Pass("History Length", "V", "frames in the temporal mean", lambda frame: frame.history_length),
+    )
+}
+
+# Of frames that were rendered with diagnostics.
+DIAGNOSTIC_PASSES = {
+    entry.name: entry
+    for entry in (
+        Pass(name.replace("_", " ").title(), "V", f"{unit}, {meaning}", attrgetter(name))
+        for name, (unit, meaning) in DIAGNOSTICS.items()
     )
 }

@@ -12,6 +12,7 @@ import numpy as np
 
 from .albedo import albedo_tables
 from .devices import Device, open_device
+from .diagnostics import DIAGNOSTICS
 from .effects import Effects
 from .errors import InputError
 from .flatten import FlatScene, flatten
@@ -280,7 +281,9 @@ class Renderer:
                 width, height, self.settings.method, self.settings.denoise.as_dict()
             )
             self._denoiser_size = (width, height)
-        return self._denoiser.denoise({**images, "window": flat.window}, reset=bool(reset))
+        return self._denoiser.denoise(
+            {**images, "window": flat.window}, reset=bool(reset), diagnostics=self.settings.diagnostics
+        )
 
     def _finish(
         self,
@@ -298,6 +301,8 @@ class Renderer:
         def lazy(image: Any, factor: float = 1.0) -> Callable[[], np.ndarray]:
             return lambda: host(image) if factor == 1.0 else host(image) * np.float32(factor)
 
+        # What the camera's rays hit, not what mirrors show there.
+        first = {name: images.get(f"first_{name}", images.get(name)) for name in FIRST_IMAGES}
         radiance = [images[name] for name in sorted(RADIANCE_IMAGES & images.keys())]
         albedo = [images[name] for name in ("diffuse_albedo", "specular_albedo") if name in images]
         width, height = self._denoiser_size
@@ -306,19 +311,21 @@ class Renderer:
             color=lazy(denoised["color"], exposure),
             noisy=lambda: sum(map(host, radiance)) * np.float32(exposure),
             albedo=lambda: sum(map(host, albedo)),
-            normal=lazy(images["normal"]),
-            depth=lazy(images["depth"]),
-            motion=lazy(images["motion"]) if "motion" in images else lambda: np.zeros((height, width, 3), np.float32),
+            normal=lazy(first["normal"]),
+            depth=lazy(first["depth"]),
+            motion=lazy(first["motion"]) if "motion" in images else lambda: np.zeros((height, width, 3), np.float32),
             roughness=lazy(images["roughness"]),
-            object_id=lazy(images["object_id"]),
+            object_id=lazy(first["object_id"]),
             variance=lazy(denoised["variance"], exposure**2),
             history_length=lazy(denoised["history_length"]),
             alpha=lazy(images["alpha"]) if "alpha" in images else None,
+            **{name: lazy(denoised[name]) for name in DIAGNOSTICS if name in denoised},
             timings=timings,
             reset=reset,
         )
 
 
+FIRST_IMAGES = ("normal", "depth", "motion", "object_id")
 RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
 # Images that are means over all samples of a frame; the others are of its first sample.
 MEAN_IMAGES = RADIANCE_IMAGES | {"alpha"}

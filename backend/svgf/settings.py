@@ -71,6 +71,16 @@ class DenoiseSettings:
         20.0, 1.0, 4096.0,
         "svgf+: longest history where something moves; what stands still has no limit. 1: no history.", unit="frames",
     )  # fmt: skip
+    history_seconds: float = _setting(
+        0.0, 0.0, 3600.0,
+        "svgf+: the same in seconds, so that lag is the same at any frame_rate. 0: history_frames counts.",
+        unit="s",
+    )  # fmt: skip
+    frame_rate: float = _setting(
+        24.0, 0.01, 1e5,
+        "svgf+: frames in a second of the sequence, or of a view as it is drawn, for history_seconds.",
+        unit="frames/s",
+    )  # fmt: skip
     history_clamp: float = _setting(
         3.0, 0.0, 1e6,
         "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.",
@@ -137,6 +147,13 @@ class DenoiseSettings:
     def as_dict(self) -> dict[str, float]:
         return asdict(self)
 
+    @property
+    def longest_history(self) -> float:
+        """svgf+: in frames, where something moves."""
+        if self.history_seconds <= 0.0:
+            return self.history_frames
+        return min(max(self.history_seconds * self.frame_rate, 1.0), 4096.0)
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -148,7 +165,8 @@ class Settings:
     "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
     "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
     None: the scene's. diffuse_bounces ... filter_glossy: see ``LightPaths``; None: the scene's. transparent_film: the
-    world is left out behind the scene; None: the scene's. denoise: DenoiseSettings.
+    world is left out behind the scene; None: the scene's. denoise: DenoiseSettings. diagnostics: also make the images
+    of ``svgf.diagnostics``.
     """
 
     width: int | None = None
@@ -171,6 +189,7 @@ class Settings:
     filter_glossy: float | None = None
     transparent_film: bool | None = None
     denoise: DenoiseSettings = field(default_factory=DenoiseSettings)
+    diagnostics: bool = False
 
     def __post_init__(self) -> None:
         for name, minimum, maximum in (
@@ -189,6 +208,8 @@ class Settings:
             value = getattr(self, name)
             if value is not None:
                 _check_number(f"Settings.{name}", value, minimum, maximum, whole=isinstance(maximum, int))
+        if self.diagnostics not in (True, False):
+            raise InputError(f"Settings.diagnostics is {self.diagnostics!r}.", "Give True or False.")
         for name in ("reflective_caustics", "refractive_caustics", "transparent_film"):
             if getattr(self, name) not in (None, True, False):
                 raise InputError(f"Settings.{name} is {getattr(self, name)!r}.", "Give True, False or None.")

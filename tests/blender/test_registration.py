@@ -72,10 +72,20 @@ def test_every_property_has_description_and_range(registered):
 def test_denoise_properties_are_the_settings_fields(registered):
     properties = bpy.context.scene.svgf.denoise.bl_rna.properties
     for item in fields(DenoiseSettings):
+        if item.name == "frame_rate":  # Blender's output has it
+            assert item.name not in properties
+            continue
         shown = properties[item.name]
         assert shown.hard_min == pytest.approx(item.metadata["minimum"])
         assert shown.hard_max == pytest.approx(item.metadata["maximum"])
         assert item.metadata["meaning"].rstrip(".") in shown.description
+
+
+def test_history_in_seconds_goes_by_the_frame_rate_of_the_output(registered):
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = 30, 1.001
+    scene.svgf.denoise.history_seconds = 0.5
+    assert scene.svgf.to_settings().denoise.longest_history == pytest.approx(15 / 1.001)
 
 
 def test_light_paths_are_the_scenes_until_it_has_some_for_svgf(registered):

@@ -20,6 +20,7 @@ DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.av
 SIZE = (32, 18)
 BATCHES, SAMPLES = 24, 64
 ERROR_RATE = 1e-4
+MEAN = Settings(method="none")
 
 
 @pytest.fixture
@@ -38,14 +39,14 @@ def scene():
     return scene
 
 
-def settled(worker: Worker, scene, seed: int) -> np.ndarray:
-    """What a view without a denoiser shows of a still scene when it has come to rest."""
-    worker.submit(Request(scene, Settings(method="none", seed=seed), DEVICE, SAMPLES))
+def settled(worker: Worker, scene, seed: int, settings: Settings = MEAN, samples: int = SAMPLES) -> np.ndarray:
+    """What a view shows of a still scene when it has come to rest."""
+    worker.submit(Request(scene, replace(settings, seed=seed), DEVICE, samples))
     end = time.monotonic() + 120
     while worker.busy:
         assert time.monotonic() < end
         time.sleep(0.005)
-    assert not worker.result.error and worker.result.samples == SAMPLES
+    assert not worker.result.error and worker.result.samples == samples
     return worker.result.frame.color
 
 
@@ -100,3 +101,25 @@ def test_is_cycles_picture(scene, viewport, tmp_path):
         image.pixels.foreach_get(pixels)
         images.append(pixels.reshape(SIZE[1], SIZE[0], 4)[::-1, :, :3])
     assert_same_means(viewport, np.stack(images))
+
+
+def test_svgf_plus_comes_to_rest_at_the_same_picture(scene):
+    """The default method filters less and less while a view stands still, and never more than the noise that is left:
+    it is no farther from the truth than the mean of its samples, and the distance falls as that of the mean does. Of
+    pixel centres, which is where it samples."""
+    exported = export(size=SIZE)
+    center = Settings(method="none", pixel_filter="center")
+    truth = Renderer(replace(center, samples=64 * SAMPLES, seed=BATCHES), DEVICE).render(exported).color
+    few, many, mean = (
+        root_mean_square(settings, samples, exported, truth)
+        for settings, samples in ((Settings(), SAMPLES // 4), (Settings(), 4 * SAMPLES), (center, 4 * SAMPLES))
+    )
+    assert many < 1.1 * mean and many < few / 2
+
+
+def root_mean_square(settings: Settings, samples: int, exported, truth: np.ndarray) -> float:
+    """Of a still view's distance from the truth, over some seeds."""
+    worker = Worker()
+    views = [settled(worker, replace(exported), seed, settings, samples) for seed in range(4)]
+    worker.close()
+    return float(np.sqrt(((np.stack(views) - truth) ** 2).mean()))

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What artists do to a viewport while it renders: nothing of it crashes, hangs or leaks.
+"""What artists do to a viewport while it renders: nothing of it crashes, hangs, leaks or blocks Blender.
 
-See window.py. Takes names of steps, all of them by default.
+See window.py. Takes names of steps, all of them by default. Each step is done a few times first, so that what Blender
+and the driver keep for good is there before memory is measured.
 """
 
 from __future__ import annotations
 
+import functools
+import subprocess
 import sys
 import tempfile
 import threading
@@ -19,7 +22,9 @@ import bpy
 from window import (
     ARGUMENTS,
     areas,
+    drag_edge,
     memory_mb,
+    mouse,
     override,
     play,
     session,
@@ -31,48 +36,78 @@ from window import (
     window,
 )
 
+# After window, which finds them.
+from svgf_blender.ui import statistics
+
 ENDLESS = 10**6  # samples, so that there is always a frame in the making
+LARGEST_GROWTH = 1.05  # of the resident memory, in a step
 LONGEST_BLOCK_SECONDS = 0.05  # of the main thread's own time
 LONGEST_WAIT_SECONDS = 0.5  # with what other programs on the machine take away
 
 
 def script() -> Iterator[float]:
-    measure = Blocks()
-    for step in STEPS:
+    unknown = set(ARGUMENTS) - {step.__name__ for step in STEPS}
+    assert not unknown, unknown
+    for step, (few, times) in STEPS.items():
         name = step.__name__
         if ARGUMENTS and name not in ARGUMENTS:
             continue
         start_engine(samples=ENDLESS)
         yield from running()
-        measure.reset()
-        start = time.monotonic()
-        yield from step()
-        blocked = f"at most {measure.longest_work * 1e3:.0f} ms of work, {measure.longest * 1e3:.0f} ms of time at once"
-        print(f"{name}: {time.monotonic() - start:.1f} s, {blocked}, {memory_mb():.0f} MB", flush=True)
-        if name not in {"disable", "files"}:
-            assert measure.longest_work < LONGEST_BLOCK_SECONDS and measure.longest < LONGEST_WAIT_SECONDS, name
+        yield from step(few)
+        blocks.reset()
+        before, start = memory_mb(), time.monotonic()
+        yield from step(times)
+        after = memory_mb()
+        print(f"{name}: {times} times in {time.monotonic() - start:.1f} s, {before:.0f} -> {after:.0f} MB", flush=True)
+        print(blocks, flush=True)
+        assert after < LARGEST_GROWTH * before, name
+        assert blocks.longest("work") < LONGEST_BLOCK_SECONDS and blocks.longest("time") < LONGEST_WAIT_SECONDS, name
     window().scene.render.engine = "BLENDER_WORKBENCH"
     yield 1.0
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
 
 
 class Blocks:
-    """The longest time that Blender's main thread spends in the add-on at once, and the longest that it works there."""
+    """For each thing that Blender's main thread calls in the add-on, the longest that it takes and works at once."""
 
     def __init__(self) -> None:
-        self.reset()
-        for name in ("update", "draw"):
-            setattr(views, name, self._timed(getattr(views, name)))
+        self._seconds: dict[str, dict[str, float]] = {}
 
     def reset(self) -> None:
-        self.longest = self.longest_work = 0.0
+        self._seconds.clear()
 
-    def _timed(self, function: Callable[..., None]) -> Callable[..., None]:
-        def timed(*arguments) -> None:
+    def watch(self, owner: object, *names: str) -> None:
+        for name in names:
+            setattr(owner, name, self._timed(getattr(owner, name)))
+
+    def watch_panel(self, panel: type[bpy.types.Panel]) -> None:
+        timed = self._timed(panel.draw)
+
+        def draw(panel, context) -> None:  # Blender counts the arguments
+            timed(panel, context)
+
+        panel.draw = draw
+
+    def longest(self, what: str) -> float:
+        return max(seconds[what] for seconds in self._seconds.values())
+
+    def __str__(self) -> str:
+        return "\n".join(
+            f"    {name}: at most {seconds['work'] * 1e3:.1f} ms of work, {seconds['time'] * 1e3:.1f} ms of time"
+            for name, seconds in self._seconds.items()
+        )
+
+    def _timed(self, function: Callable[..., object]) -> Callable[..., object]:
+        @functools.wraps(function)  # with what marks a persistent handler
+        def timed(*arguments) -> object:
             start, work = time.perf_counter(), time.thread_time()
-            function(*arguments)
-            self.longest = max(self.longest, time.perf_counter() - start)
-            self.longest_work = max(self.longest_work, time.thread_time() - work)
+            try:
+                return function(*arguments)
+            finally:
+                seconds = self._seconds.setdefault(function.__qualname__, {"time": 0.0, "work": 0.0})
+                seconds["time"] = max(seconds["time"], time.perf_counter() - start)
+                seconds["work"] = max(seconds["work"], time.thread_time() - work)
 
         return timed
 
@@ -86,33 +121,54 @@ def running(seconds: float = 30) -> Iterator[float]:
     assert not session().error, session().error
 
 
-def toggles() -> Iterator[float]:
+def toggles(times: int) -> Iterator[float]:
     """Fast ones, which find their session again, and slow ones, which start anew."""
-    yield from toggle(20, 0.02)
-    before = memory_mb()
-    yield from toggle(150, 0.02)
-    yield from toggle(30, 0.3)
-    assert memory_mb() < 1.05 * before, (before, memory_mb())
+    for step in range(times):
+        space().shading.type = "SOLID" if space().shading.type == "RENDERED" else "RENDERED"
+        yield 0.3 if step % 5 == 0 else 0.02
     space().shading.type = "RENDERED"
     yield from running()
 
 
-def toggle(times: int, seconds: float) -> Iterator[float]:
-    for _ in range(times):
-        space().shading.type = "SOLID" if space().shading.type == "RENDERED" else "RENDERED"
-        yield seconds
+def resizes(times: int) -> Iterator[float]:
+    """Of the view by its edge, and of the whole window. No mesh is read again."""
+    yield 0.5
+    meshes, sizes = session().counters.meshes, set()
+    for step in range(times):
+        change = 60 * (-1) ** step
+        if step % 10 < 8:
+            yield from drag_edge(areas("VIEW_3D")[0], -change)
+        else:
+            yield from resize_window(window().width - change, window().height - change)
+        sizes.add((window_region().width, window_region().height))
+    yield 0.5
+    frame, region = session().result.frame, window_region()
+    print(f"    {len(sizes)} sizes, the last one {region.width}x{region.height}")
+    assert session().counters.meshes == meshes and len(sizes) >= min(times, 4), sizes
+    assert (frame.width, frame.height) == (-(-region.width // 4), -(-region.height // 4))
 
 
-def undo() -> Iterator[float]:
+def resize_window(width: int, height: int) -> Iterator[float]:
+    search = ["xdotool", "search", "--onlyvisible", "--class", "blender"]
+    found = subprocess.run(search, check=True, capture_output=True, text=True).stdout.split()
+    mouse("windowsize", found[-1], width, height)
+    yield 0.2
+
+
+def window_region() -> bpy.types.Region:
+    return next(region for region in areas("VIEW_3D")[0].regions if region.type == "WINDOW")
+
+
+def undo(times: int) -> Iterator[float]:
     with override():
         bpy.ops.ed.undo_push(message="before")
-    for step in range(20):
+    for step in range(times):
         bpy.data.objects["Cube"].location.x = step * 0.1
         with override():
             bpy.ops.ed.undo_push(message="move")
         yield 0.02
     for action in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
-        for _ in range(18):
+        for _ in range(times - 1):
             with override():
                 action()
             yield 0.01
@@ -122,8 +178,8 @@ def undo() -> Iterator[float]:
     assert abs(shown - expected) < 1e-6, (shown, expected)
 
 
-def delete() -> Iterator[float]:
-    for _ in range(10):
+def delete(times: int) -> Iterator[float]:
+    for _ in range(times):
         with override():
             bpy.ops.mesh.primitive_uv_sphere_add(location=(2, 0, 0))
         yield 0.05
@@ -140,111 +196,121 @@ def delete() -> Iterator[float]:
     yield 0.3
 
 
-def edit_mode() -> Iterator[float]:
-    for mode in ("EDIT", "SCULPT", "OBJECT"):
-        with override():
-            bpy.ops.object.mode_set(mode=mode)
-        yield 0.3
-        if mode == "EDIT":
-            for _ in range(5):
-                with override():
-                    bpy.ops.transform.translate(value=(0, 0, 0.1))
-                yield 0.1
-    assert not session().error, session().error
+def modes(times: int) -> Iterator[float]:
+    for _ in range(times):
+        for mode in ("EDIT", "SCULPT", "VERTEX_PAINT", "OBJECT"):
+            with override():
+                bpy.ops.object.mode_set(mode=mode)
+            yield 0.3
+            if mode == "EDIT":
+                for way in (0.1, -0.1):
+                    with override():
+                        bpy.ops.transform.translate(value=(0, 0, way))
+                    yield 0.1
+        assert not session().error, session().error
 
 
-def pixel_sizes() -> Iterator[float]:
+def pixel_sizes(times: int) -> Iterator[float]:
     """Each one is a resize of all images; no mesh is read again."""
-    for step in range(100):
+    yield 0.5
+    meshes = session().counters.meshes
+    for step in range(times):
         window().scene.render.preview_pixel_size = ("8", "4")[step % 2]
         areas("VIEW_3D")[0].tag_redraw()
         yield 0.02
-        if step == 1:  # what other changes left over has been exported by now
-            meshes = session().counters.meshes
     assert session().counters.meshes == meshes
 
 
-def two_views() -> Iterator[float]:
-    with override():
-        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
-    yield 0.5
-    for area in areas("VIEW_3D"):
-        area.spaces.active.shading.type = "RENDERED"
-    yield 1.0
-    assert len(views.sessions_of(window().scene)) == 2
-    bpy.data.objects["Cube"].location.y = 1
-    yield 1.0
-    for each in views.sessions_of(window().scene):
-        assert each.result.scene.instances.object_to_world[0, 1, 3] == 1 and not each.error
-    areas("VIEW_3D")[1].type = "TEXT_EDITOR"
-    yield 0.5
-    assert len(views.sessions_of(window().scene)) == 1
+def two_views(times: int) -> Iterator[float]:
+    for _ in range(times):
+        with override():
+            bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
+        yield 0.5
+        for area in areas("VIEW_3D"):
+            area.spaces.active.shading.type = "RENDERED"
+        yield 1.0
+        assert len(views.sessions_of(window().scene)) == 2
+        bpy.data.objects["Cube"].location.y += 1
+        yield 1.0
+        for each in views.sessions_of(window().scene):
+            shown = each.result.scene.instances.object_to_world[0, 1, 3]
+            assert shown == bpy.data.objects["Cube"].location.y and not each.error
+        with bpy.context.temp_override(window=window(), area=areas("VIEW_3D")[1]):
+            bpy.ops.screen.area_close()
+        yield 0.5
+        assert len(views.sessions_of(window().scene)) == 1
 
 
-def quad_view() -> Iterator[float]:
-    with override():
-        bpy.ops.screen.region_quadview()
-    yield 1.5
-    assert len(views.sessions_of(window().scene)) == 4
-    with override():
-        bpy.ops.screen.region_quadview()
-    yield 0.5
-    assert len(views.sessions_of(window().scene)) == 1
+def quad_view(times: int) -> Iterator[float]:
+    for _ in range(times):
+        with override():
+            bpy.ops.screen.region_quadview()
+        yield 1.5
+        assert len(views.sessions_of(window().scene)) == 4
+        with override():
+            bpy.ops.screen.region_quadview()
+        yield 0.5
+        assert len(views.sessions_of(window().scene)) == 1
 
 
-def local_view() -> Iterator[float]:
-    with override():
-        bpy.ops.mesh.primitive_uv_sphere_add(location=(2, 0, 0))
-    yield 0.3
-    assert len(session().result.scene.meshes) == 2
-    with override():
-        bpy.ops.view3d.localview()
-    yield 0.7
-    assert [mesh.name for mesh in session().result.scene.meshes] == [bpy.context.object.name]
-    with override():
-        bpy.ops.view3d.localview()
-    yield 0.7
-    assert len(session().result.scene.meshes) == 2
-    bpy.data.objects.remove(bpy.context.object)
-    yield 0.2
+def local_view(times: int) -> Iterator[float]:
+    for _ in range(times):
+        with override():
+            bpy.ops.mesh.primitive_uv_sphere_add(location=(2, 0, 0))
+        yield 0.3
+        assert len(session().result.scene.meshes) == 2
+        with override():
+            bpy.ops.view3d.localview()
+        yield 0.7
+        assert [mesh.name for mesh in session().result.scene.meshes] == [bpy.context.object.name]
+        with override():
+            bpy.ops.view3d.localview()
+        yield 0.7
+        assert len(session().result.scene.meshes) == 2
+        bpy.data.objects.remove(bpy.context.object)
+        yield 0.2
 
 
-def playback() -> Iterator[float]:
+def playback(frames: int) -> Iterator[float]:
     """History goes on from frame to frame, and only what is animated is exported."""
     scene, cube = window().scene, bpy.data.objects["Cube"]
-    scene.frame_start, scene.frame_end = 1, 48
-    for frame, x in ((1, -1.0), (48, 1.0)):
+    scene.frame_start, scene.frame_end = 1, frames
+    for frame, x in ((1, -1.0), (frames, 1.0)):
         cube.location.x = x
         cube.keyframe_insert("location", frame=frame)
     scene.frame_set(1)
     yield 0.5
-    meshes, seen = session().counters.meshes, set()
+    counters = session().counters
+    meshes, materials, lights, seen = counters.meshes, counters.materials, counters.lights, set()
     with override():
         bpy.ops.screen.animation_play()
-    end = time.monotonic() + 60
-    while scene.frame_current < 40 and time.monotonic() < end:
+    end, shown = time.monotonic() + 90, set()
+    while len(shown) < frames and time.monotonic() < end:
         yield 0.02
+        shown.add(scene.frame_current)
         seen.add(session().result.reset)
     with override():
         bpy.ops.screen.animation_cancel(restore_frame=False)
-    print("restarts", seen, session().counters)
-    assert session().counters.meshes == meshes
-    assert session().result.frame.history_length.max() > 20
+    print(f"    frames {len(shown)}, restarts {seen}, {counters}")
+    assert (counters.meshes, counters.materials, counters.lights) == (meshes, materials, lights)
+    assert session().result.frame.history_length.max() > min(frames, 20)
+    cube.animation_data_clear()
     yield 0.2
 
 
-def engine_switch() -> Iterator[float]:
-    for engine in ("BLENDER_WORKBENCH", "SVGF") * 5:
-        window().scene.render.engine = engine
-        yield 0.2
+def engine_switch(times: int) -> Iterator[float]:
+    for _ in range(times):
+        for engine in ("BLENDER_WORKBENCH", "SVGF"):
+            window().scene.render.engine = engine
+            yield 0.2
     yield from running()
 
 
-def files() -> Iterator[float]:
+def files(times: int) -> Iterator[float]:
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/scene.blend"
         bpy.ops.wm.save_as_mainfile(filepath=path)
-        for _ in range(5):
+        for _ in range(times):
             bpy.ops.wm.open_mainfile(filepath=path)
             yield 0.3
             start_engine(samples=ENDLESS)  # Blender opens files with Solid shading
@@ -253,19 +319,19 @@ def files() -> Iterator[float]:
         yield 0.5
 
 
-def final_render() -> Iterator[float]:
+def final_render(times: int) -> Iterator[float]:
     """F12 in the window, with the viewport at work."""
     render = window().scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = 96, 54, 100
-    for _ in range(2):
+    for _ in range(times):
         bpy.ops.render.render()
         yield 0.3
     assert not session().error
     yield from running()
 
 
-def disable() -> Iterator[float]:
-    for _ in range(5):
+def disable(times: int) -> Iterator[float]:
+    for _ in range(times):
         svgf_blender.unregister()
         assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
         space().shading.type = "SOLID"  # else Blender would draw with EEVEE, which takes its time and memory
@@ -277,8 +343,26 @@ def disable() -> Iterator[float]:
     yield from settled()
 
 
-STEPS = (
-    *(toggles, undo, delete, edit_mode, pixel_sizes, two_views, quad_view, local_view, playback, engine_switch),
-    *(files, final_render, disable),
-)
+# How often each is done before memory is measured, and then.
+STEPS = {
+    toggles: (40, 200),
+    resizes: (20, 100),
+    undo: (10, 20),
+    delete: (3, 10),
+    modes: (1, 3),
+    pixel_sizes: (20, 100),
+    two_views: (1, 3),
+    quad_view: (1, 3),
+    local_view: (1, 3),
+    playback: (12, 48),
+    engine_switch: (3, 10),
+    files: (2, 5),
+    final_render: (2, 4),
+    disable: (2, 5),
+}
+
+blocks = Blocks()
+blocks.watch(views, "update", "draw", "_tick", "_draw_data", "_stop_all", "_forget_engines")
+for panel in (statistics.SVGF_PT_cost, statistics.SVGF_PT_effects, statistics.SVGF_PT_warnings):
+    blocks.watch_panel(panel)
 play(script)

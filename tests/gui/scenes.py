@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a scene in the viewport: through the camera, after an orbit, after an object was moved, and the panels.
+"""Pictures of a scene in the viewport: through the camera, after an orbit, after an object was moved, of each overlay,
+with a transparent film and a border, in four views, and of the panels.
 
 See window.py. Takes a folder for pictures and a .blend file, such as blender_scenes/build.py makes.
 """
@@ -15,7 +16,24 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
 from mathutils import Quaternion
-from window import ARGUMENTS, areas, override, picture, play, session, settled, space, start_engine, views, window
+from window import (
+    ARGUMENTS,
+    areas,
+    drag_edge,
+    override,
+    picture,
+    play,
+    session,
+    settled,
+    space,
+    start_engine,
+    views,
+    window,
+)
+
+# After window, which finds them.
+from svgf_blender.ui.statistics import SVGF_PT_effects
+from svgf_blender.viewport.picture import OVERLAYS
 
 
 def script() -> Iterator[float]:
@@ -29,7 +47,7 @@ def script() -> Iterator[float]:
         bpy.ops.view3d.view_camera()
     yield 0.5
     start = time.monotonic()
-    start_engine(pixel_size="2", samples=12)
+    start_engine(pixel_size="2", samples=32, budget=100)
     while not views.sessions_of(window().scene) or session().result.frame is None:
         yield 0.02
     print(f"first picture after {time.monotonic() - start:.2f} s")
@@ -58,10 +76,31 @@ def script() -> Iterator[float]:
     yield from picture(f"{name}_moved_settled")
     print("moved", moved.name, session().counters)
 
-    area = areas("PROPERTIES")[0]
-    with bpy.context.temp_override(window=window(), area=area, region=area.regions[-1]):
-        bpy.ops.screen.screen_full_area(use_hide_panels=False)
-    yield from picture(f"{name}_panel")
+    settings = window().scene.svgf
+    for overlay in OVERLAYS:
+        settings.viewport_overlay = overlay
+        yield from settled(120)
+        yield from picture(f"{name}_overlay_{overlay}")
+    settings.viewport_overlay = "result"
+
+    window().scene.render.film_transparent = True
+    with override():
+        bpy.ops.view3d.render_border(xmin=150, xmax=420, ymin=100, ymax=330)
+    yield from settled(120)
+    yield from picture(f"{name}_transparent_border")
+    with override():
+        bpy.ops.view3d.clear_render_border()
+        bpy.ops.screen.region_quadview()
+    yield from settled(120)
+    yield from picture(f"{name}_quad")
+    with override():
+        bpy.ops.screen.region_quadview()
+
+    window().scene.render.film_transparent = False
+    yield from drag_edge(areas("VIEW_3D")[0], -window().width // 4)
+    bpy.ops.svgf.measure_effects()
+    yield from settled(120)
+    yield from picture(f"{name}_panels")
 
 
 def _is_movable(each: bpy.types.Object) -> tuple[bool, int]:
@@ -69,4 +108,5 @@ def _is_movable(each: bpy.types.Object) -> tuple[bool, int]:
     return max(each.dimensions) < 2.5, len(each.data.polygons)
 
 
+SVGF_PT_effects.bl_options = set()  # open from the start
 play(script)

@@ -94,6 +94,24 @@ def settled(seconds: float = 60) -> Iterator[float]:
     assert not session().error, session().error
 
 
+def mouse(*command: str | int) -> None:
+    """From outside, as a user does."""
+    subprocess.run(["xdotool", *map(str, command)], check=True)
+
+
+def drag_edge(area: bpy.types.Area, distance: int) -> Iterator[float]:
+    """Moves the right edge of an area as a user does: the mouse is pressed on it, moved and let go."""
+    x, y = area.x + area.width, window().height - (area.y + area.height // 2)
+    mouse("mousemove", x, y)
+    yield 0.05
+    mouse("mousedown", 1)
+    yield 0.05
+    mouse("mousemove", x + distance, y)
+    yield 0.05
+    mouse("mouseup", 1)
+    yield 0.1
+
+
 def picture(name: str) -> Iterator[float]:
     """Of the whole screen, into the folder that is the first argument; without one, nothing."""
     if ARGUMENTS:

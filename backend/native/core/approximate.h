@@ -62,4 +62,20 @@ SVGF_HD inline float fast_sqrt(float x) {
 #endif
 }
 
+// Of numbers: if one is NaN, either may come back.
+SVGF_HD inline float fast_min(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return fminf(a, b);
+#else
+    return a < b ? a : b;
+#endif
+}
+SVGF_HD inline float fast_max(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return fmaxf(a, b);
+#else
+    return a > b ? a : b;
+#endif
+}
+
 }  // namespace svgf

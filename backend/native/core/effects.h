@@ -31,7 +31,8 @@ enum class Effects : std::uint32_t {
     ray_visibility = 1u << 18,
     light_path_limits = 1u << 19,
     many_lights = 1u << 20,
-    all = (1u << 21) - 1,
+    perfect_specular = 1u << 21,
+    all = (1u << 22) - 1,
 };
 
 SVGF_HD constexpr Effects operator|(Effects a, Effects b) { return Effects(std::uint32_t(a) | std::uint32_t(b)); }

@@ -44,8 +44,8 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 // 24 bits: exact in a float, and below 1.
 SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
 
-// Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. That of the
-// surface's material is far from all others.
+// Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. Those of the
+// surfaces that rays meet are far from all others.
 enum class SamplePair : std::uint32_t {
     pixel = 0,
     direction = 1,
@@ -61,17 +61,31 @@ enum class SamplePair : std::uint32_t {
 struct Sampler {
     std::uint32_t pixel_key, sample;
 
-    SVGF_HD Sampler(int x, int y, int width, std::uint32_t seed, std::uint32_t sample)
-        : pixel_key(mix_bits((std::uint32_t(y) * std::uint32_t(width) + std::uint32_t(x)) ^ mix_bits(seed))),
-          sample(sample) {}
+    Sampler() = default;
+    // pixel: its number, row by row.
+    SVGF_HD Sampler(int pixel, std::uint32_t seed, std::uint32_t sample)
+        : pixel_key(mix_bits(std::uint32_t(pixel) ^ mix_bits(seed))), sample(sample) {}
 
     SVGF_HD Vec2 pair(SamplePair name, int vertex = 0) const {
-        const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
-        const std::uint32_t key = mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
+        const std::uint32_t key = key_of(name, vertex);
         const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
         const std::uint32_t second = sobol_second_dimension(first);
         return {unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u))),
                 unit_float(owen_scramble(second, mix_bits(key ^ 0x63d83595u)))};
+    }
+
+    // The first number of a pair that each triangle of each instance has for itself, in whatever order a ray meets them.
+    SVGF_HD float at_triangle(SamplePair name, int vertex, std::int32_t instance, std::int32_t triangle) const {
+        const std::uint32_t surface = mix_bits(mix_bits(std::uint32_t(instance)) + std::uint32_t(triangle));
+        const std::uint32_t key = mix_bits(key_of(name, vertex) ^ surface);
+        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        return unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
+    }
+
+private:
+    SVGF_HD std::uint32_t key_of(SamplePair name, int vertex) const {
+        const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
+        return mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
     }
 };
 
@@ -91,14 +105,24 @@ struct Frame {
     SVGF_HD Vec3 to_local(Vec3 v) const { return {dot(x, v), dot(y, v), dot(z, v)}; }
 };
 
+// Cosine and sine of an angle in half turns. The device is spared the reduction of angles of any size, which is much code.
+SVGF_HD inline Vec2 point_on_circle(float half_turns) {
+#if defined(__CUDA_ARCH__)
+    Vec2 point;
+    sincospif(half_turns, &point.y, &point.x);
+    return point;
+#else
+    return {std::cos(pi * half_turns), std::sin(pi * half_turns)};
+#endif
+}
+
 // Concentric map, area preserving [Shirley97].
 SVGF_HD inline Vec2 sample_unit_disk(Vec2 u) {
     const float a = 2.0f * u.x - 1.0f, b = 2.0f * u.y - 1.0f;
     if (a == 0.0f && b == 0.0f) return {};
     const bool wide = std::fabs(a) > std::fabs(b);
     const float radius = wide ? a : b;
-    const float angle = wide ? (pi / 4) * (b / a) : (pi / 2) - (pi / 4) * (a / b);
-    return {radius * std::cos(angle), radius * std::sin(angle)};
+    return point_on_circle(wide ? 0.25f * (b / a) : 0.5f - 0.25f * (a / b)) * radius;
 }
 
 // Density cos / pi, around +z.
@@ -112,8 +136,8 @@ SVGF_HD inline Vec3 sample_cosine_hemisphere(Vec2 u) {
 SVGF_HD inline Vec3 sample_cone(Vec2 u, float one_minus_cosine) {
     const float height = u.x * one_minus_cosine;
     const float radius = std::sqrt(max(0.0f, height * (2.0f - height)));
-    const float angle = 2.0f * pi * u.y;
-    return {radius * std::cos(angle), radius * std::sin(angle), 1.0f - height};
+    const Vec2 around = point_on_circle(2.0f * u.y) * radius;
+    return {around.x, around.y, 1.0f - height};
 }
 
 // Weights of the two edges for a uniform point on a triangle: vertex + edge1 * x + edge2 * y.

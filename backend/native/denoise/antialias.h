@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "antialias" of svgf+: resolves over time what lies within a pixel, and lets a still view converge to the truth.
 //
-// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it.
+// Reads 3x3 pixels of the filtered signals, modulated on the way, and what it wrote a frame ago: the resolved colour, and
+// the frames in it.
 // Where a sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter
 // makes of the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation
 // of the 3x3 pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3
@@ -10,13 +11,15 @@
 //
 // Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness: a bright
 // sample does not flicker where it is rare, at any exposure. What stands still is averaged as it is: no light is lost.
+// Outside the frame the 3x3 pixels are those of its border.
 //
 // What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
 // best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 #pragma once
 
-#include "denoise/demodulate.h"
+#include "denoise/modulate.h"
+#include "denoise/tiles.h"
 
 namespace svgf {
 
@@ -30,16 +33,31 @@ constexpr float still_frames = 24.0f;
 constexpr float still_rate = 1.25f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
 constexpr float still_margin = 0.02f;
+// Of the brightest of the 3x3 pixels, as a logarithm to the base 2: what darker ones count for in the geometric mean.
+constexpr float black_log2 = -10.0f;
 
 template <class Storage, int Signals>
-struct Antialias {
+struct Antialias : Tiles {
+    using Tiles::height, Tiles::width;
+    static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
+
+    struct Tile {
+        Vec4 color[places];  // w: 0
+        float depth[places], log_brightness[places];
+    };
+    struct Texel {
+        typename Modulate<Storage, Signals>::Texel filtered;
+        float depth;
+        int own_pixel;  // -1 in the margin
+    };
+
+    NoisyFrame<Signals> frame;
+    Modulate<Storage, Signals> modulate;
     typename Storage::Guides guides;
-    typename Storage::Color in_color, hist_color;  // rgb and frames in the deviation's place
+    typename Storage::Color hist_color;  // rgb and frames in the deviation's place
     bool has_history;
     const float* in_motion;
     int motion_channels;
-    const float* in_signal[Signals];
-    const float* in_albedo[Signals][2];
     typename Storage::Moments in_moments[Signals];  // of temporal
     const float* in_emission;
     float antialias_frames;
@@ -47,21 +65,68 @@ struct Antialias {
     float* out_color;  // [H, W, 3]
 
     int bytes_per_pixel() const {
-        return (has_history ? 3 : 2) * Storage::color_bytes + 4 + (in_motion ? 4 * motion_channels : 0) + 12;
+        return modulate.read_bytes_per_pixel() + Storage::guide_bytes + (has_history ? 2 : 1) * Storage::color_bytes +
+               (in_motion ? 4 * motion_channels : 0) + 12 + 4;
     }
 
-    SVGF_HD void operator()(int x, int y) const {
-        const int pixel = guides.pixel(x, y);
-        const Vec3 own = in_color[pixel].xyz();
-        Box box;
-        int front = pixel;
-        look_around(x, y, box, front);
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
+        const int x = Tiles::x(tile_column, place), y = Tiles::y(tile_row, place);
+        const int pixel = guides.nearest_pixel(x, y);
+        return {modulate.fetch(pixel), guides.depth(pixel), owns(tile_column, tile_row, x, y) ? pixel : -1};
+    }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
+        int repaired = 0;
+        float variance;
+        const Vec3 color = modulate.radiance(texel.filtered, variance, repaired);
+        if (texel.own_pixel >= 0) {
+            modulate.out_variance[texel.own_pixel] = variance;
+            count(modulate.out_repaired, repaired);
+        }
+        tile.color[place] = {color.x, color.y, color.z, 0.0f};
+        tile.depth[place] = texel.depth;
+        tile.log_brightness[place] = fast_log2(brightness(color) + 1e-30f);
+    }
+    struct Own {};
+    SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
 
-        const Vec3 motion = motion_of(front);
+    SVGF_HD void operator()(const Tile& tile, Own, int tile_column, int tile_row, int thread_x, int thread_y) const {
+        SVGF_NO_UNROLL
+        for (int row = thread_y; row < rows; row += threads_y) {
+            const int x = tile_column * columns + thread_x, y = tile_row * rows + row;
+            if (guides.contains(x, y)) resolve(tile, place(thread_x, row), x, y);
+        }
+    }
+
+private:
+    SVGF_HD static float brightness(Vec3 c) { return fast_max(c.x, fast_max(c.y, c.z)); }
+
+    // The 3x3 pixels' mean and deviation, after map.
+    struct Box {
+        float white = 0.0f;
+        Vec3 mean, deviation;
+
+        SVGF_HD Vec3 map(Vec3 c) const { return c * fast_reciprocal(white + brightness(c) + 1e-30f); }
+        SVGF_HD Vec3 unmap(Vec3 c) const {
+            return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - brightness(c), 1e-4f)));
+        }
+    };
+    struct History {
+        Vec3 color, mapped;
+        float frames = 0.0f;
+    };
+
+    SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
+        const int pixel = guides.pixel(x, y);
+        const Vec3 own = tile.color[place].xyz();
+        const Vec3 motion = motion_of(front(tile, place, x, y));
         const float px = float(x) + motion.x, py = float(y) + motion.y;
-        History history;
-        if (has_history && px >= 0.0f && py >= 0.0f && px <= float(guides.width - 1) && py <= float(guides.height - 1))
-            history = read_history(px, py, box);
+        if (!has_history || !(px >= 0.0f && py >= 0.0f && px <= float(guides.width - 1) &&
+                              py <= float(guides.height - 1))) {
+            write(pixel, own, 1.0f);
+            return;
+        }
+        const Box box = look_around(tile, place);
+        const History history = read_history(px, py, box);
         if (history.frames < 0.5f) {
             write(pixel, own, 1.0f);
             return;
@@ -73,10 +138,13 @@ struct Antialias {
         float margin = 0.0f;
         if (settled) {
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
-            margin = still_margin + still_box * deviation / (box.white + max_component(own) + 1e-30f);
+            margin = still_margin + still_box * deviation / (box.white + brightness(own) + 1e-30f);
         }
         const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
-        const float excess = max_component(abs(offset) / max(extent, 1e-30f));
+        const Vec3 room = max(extent, 1e-30f);
+        const float excess = fast_max(fast_max(std::fabs(offset.x) * fast_reciprocal(room.x),
+                                               std::fabs(offset.y) * fast_reciprocal(room.y)),
+                                      std::fabs(offset.z) * fast_reciprocal(room.z));
         const bool light_changed = still && has_changed(pixel);
         if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
@@ -84,54 +152,64 @@ struct Antialias {
             return;
         }
         const float kept = settled || light_changed ? 0.0f : history.frames;  // then a still picture starts afresh
-        const float frames = still ? kept + 1.0f : min(kept + 1.0f, antialias_frames);
+        const float frames = still ? kept + 1.0f : fast_min(kept + 1.0f, antialias_frames);
+        const float share = fast_reciprocal(frames);
         // Where there is no deviation at all, nothing of what is outside is left.
-        const Vec3 clipped = excess > 1e12f ? box.mean : excess > 1.0f ? box.mean + offset / excess : past;
+        const Vec3 clipped =
+            excess > 1e12f ? box.mean : excess > 1.0f ? box.mean + offset * fast_reciprocal(excess) : past;
         if (still) {
             const Vec3 before = excess > 1.0f ? box.unmap(clipped) : history.color;
-            write(pixel, before + (own - before) / frames, frames);
+            write(pixel, before + (own - before) * share, frames);
         } else {
-            write(pixel, box.unmap(clipped + (box.map(own) - clipped) / frames), frames);
+            write(pixel, box.unmap(clipped + (box.map(own) - clipped) * share), frames);
         }
     }
 
-private:
-    // The 3x3 pixels' mean and deviation, after map.
-    struct Box {
-        float white = 0.0f;
-        Vec3 mean, deviation;
-
-        SVGF_HD Vec3 map(Vec3 c) const { return c / (white + max_component(c) + 1e-30f); }
-        SVGF_HD Vec3 unmap(Vec3 c) const { return max(c, 0.0f) * (white / max(1.0f - max_component(c), 1e-4f)); }
-    };
-    struct History {
-        Vec3 color, mapped;
-        float frames = 0.0f;
-    };
-
-    SVGF_HD void look_around(int x, int y, Box& box, int& front) const {
-        Vec3 colors[9];
-        int n = 0;
-        float most = 0.0f;
-        for (int j = -1; j <= 1; ++j)
-            for (int i = -1; i <= 1; ++i) {
-                if (!guides.contains(x + i, y + j)) continue;
-                const int tap = guides.pixel(x + i, y + j);
-                colors[n++] = in_color[tap].xyz();
-                most = max(most, max_component(colors[n - 1]));
-                if (guides.depth(tap) < guides.depth(front)) front = tap;
-            }
-        const float scale = 1.0f / float(n);
-        float logarithms = 0.0f;
-        for (int k = 0; k < n; ++k) logarithms += fast_log2(max_component(colors[k]) + 1e-3f * most + 1e-30f);
-        box.white = fast_exp2(scale * logarithms);
-        for (int k = 0; k < n; ++k) box.mean += scale * box.map(colors[k]);
-        Vec3 squares;
-        for (int k = 0; k < n; ++k) {
-            const Vec3 difference = box.map(colors[k]) - box.mean;
-            squares += scale * (difference * difference);
+    // Pixel of the nearest of the 3x3 surfaces; of several the own one or else the first.
+    SVGF_HD int front(const Tile& tile, int place, int x, int y) const {
+        float nearest = tile.depth[place];
+        int offset = 0;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) {
+            const float depth = tile.depth[place + neighbour(n)];
+            if (depth >= nearest) continue;
+            nearest = depth;
+            offset = neighbour(n);
         }
+        // From a place in the tile to the pixel, which is inside: outside it is its border's depth that is there.
+        const int row = (offset + width + 1) / width - 1, column = offset - row * width;
+        return guides.nearest_pixel(x + column, y + row);
+    }
+
+    SVGF_HD Box look_around(const Tile& tile, int place) const {
+        constexpr float share = 1.0f / 9.0f;
+        Box box;
+        float most = tile.log_brightness[place], logarithms = 0.0f;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) most = fast_max(most, tile.log_brightness[place + neighbour(n)]);
+        const float least = most + black_log2;
+        logarithms = fast_max(tile.log_brightness[place], least);
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) logarithms += fast_max(tile.log_brightness[place + neighbour(n)], least);
+        box.white = fast_exp2(share * logarithms);
+        Vec3 mapped[neighbours + 1];
+        mapped[neighbours] = box.map(tile.color[place].xyz());
+        box.mean = mapped[neighbours];
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) {
+            mapped[n] = box.map(tile.color[place + neighbour(n)].xyz());
+            box.mean += mapped[n];
+        }
+        box.mean *= share;
+        Vec3 squares;
+        SVGF_UNROLL
+        for (int n = 0; n <= neighbours; ++n) {
+            const Vec3 difference = mapped[n] - box.mean;
+            squares += difference * difference;
+        }
+        squares *= share;
         box.deviation = {fast_sqrt(squares.x), fast_sqrt(squares.y), fast_sqrt(squares.z)};
+        return box;
     }
 
     // A motion that is no number leads nowhere; temporal has counted it.
@@ -145,12 +223,15 @@ private:
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
         const float fx = px - float(left), fy = py - float(top);
+        const int corner = guides.pixel(left, top);
         History history;
+        SVGF_UNROLL
         for (int j = 0; j < 2; ++j)
+            SVGF_UNROLL
             for (int i = 0; i < 2; ++i) {
                 const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
                 if (!(share > 0.0f)) continue;
-                const Vec4 tap = hist_color[guides.pixel(left + i, top + j)];
+                const Vec4 tap = hist_color[corner + j * guides.width + i];
                 history.color += share * tap.xyz();
                 history.mapped += share * box.map(tap.xyz());
                 history.frames += share * fast_sqrt(tap.w);
@@ -162,7 +243,7 @@ private:
         int repaired_before = 0;
         Vec3 color;
         if (in_emission) color = repair(load3(in_emission, pixel), repaired_before);
-        for (int s = 0; s < Signals; ++s) color += repair(load3(in_signal[s], pixel), repaired_before);
+        for (int s = 0; s < Signals; ++s) color += repair(load3(frame.in_signal[s], pixel), repaired_before);
         return color;
     }
 
@@ -176,8 +257,10 @@ private:
     SVGF_HD float noise(int pixel) const {
         int repaired_before = 0;
         float variance = 0.0f;
-        for (int s = 0; s < Signals; ++s)
-            variance += in_moments[s][pixel].y * square(luminance(signal_albedo(in_albedo[s], pixel, repaired_before)));
+        for (int s = 0; s < Signals; ++s) {
+            const Vec3 albedo = frame.in_albedo[s].at(pixel, repaired_before);
+            variance += in_moments[s][pixel].y * square(luminance(albedo));
+        }
         return variance;
     }
 

@@ -8,6 +8,7 @@
 #include "denoise/antialias.h"
 #include "denoise/atrous.h"
 #include "denoise/demodulate.h"
+#include "denoise/diagnose.h"
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
 #include "denoise/temporal_plus.h"
@@ -51,6 +52,23 @@ struct Sequence {
 };
 template <class First, class Second>
 Sequence(First, Second) -> Sequence<First, Second>;
+
+// Hands on what there is, without a level that could.
+template <class Storage, int Signals>
+struct Pass {
+    FrameSize size;
+    typename Storage::Color in_color[Signals];
+    StoreFiltered<Storage, Signals> sink;
+
+    int bytes_per_pixel() const { return Signals * Storage::color_bytes + sink.sink_bytes_per_pixel(); }
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int pixel = size.pixel(x, y);
+        Vec4 color[Signals];
+        for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
+        sink(pixel, color);
+    }
+};
 
 }  // namespace
 
@@ -116,21 +134,25 @@ void Denoiser::allocate(int signals) {
         }
     };
     const int color_bytes = signals * Storage::color_bytes;
-    need(guides_, Storage::guide_bytes, "guides");
+    constexpr bool plus = std::is_same_v<Storage, PackedStorage>;
+    const int guide_bytes = Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes);
+    need(guides_, guide_bytes, "guides");
     if (method_ != DenoiseMethod::svgf_plus) need(working_, color_bytes, "working colour");
     if (!is_temporal()) {
         if (method_ != DenoiseMethod::none) need(scratch_, color_bytes, "scratch colour");
         return;
     }
-    static_assert(max_signals * Storage::color_bytes <= Storage::guide_bytes);  // scratch
-    need(previous_guides_, Storage::guide_bytes, "previous guides");
+    // Previous guides become scratch: all of it, or the second signal's and the resolved colour.
+    static_assert((plus ? 1 : max_signals) * Storage::color_bytes <=
+                  Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes));
+    need(previous_guides_, guide_bytes, "previous guides");
     need(history_, color_bytes, "history");
     need(moments_, signals * Storage::moments_bytes, "moments");
     need(previous_moments_, signals * Storage::moments_bytes, "previous moments");
     if (method_ != DenoiseMethod::svgf_plus) return;
     need(next_history_, color_bytes, "next history");
+    static_assert(!plus || Storage::color_bytes == Storage::guide_bytes);  // they change places
     need(resolved_, Storage::color_bytes, "resolved colour");
-    need(previous_resolved_, Storage::color_bytes, "previous resolved colour");
 }
 
 template <class Storage>
@@ -139,13 +161,18 @@ typename Storage::Guides Denoiser::guides_of(Memory& memory) {
 }
 
 template <class Storage>
+typename Storage::Gradients Denoiser::gradients() {
+    return {borrowed_gradients_ ? borrowed_gradients_ : guides_.data() + pixels() * Storage::guide_bytes};
+}
+
+template <class Storage>
 typename Storage::Color Denoiser::color_of(Place place, int signal) {
-    if (place == Place::working && borrowed_[signal]) return {borrowed_[signal]};
-    Memory& memory = place == Place::working   ? working_
-                     : place == Place::history ? history_
-                     : place == Place::spare   ? next_history_
-                     : is_temporal()           ? previous_guides_
-                                               : scratch_;
+    if (place == Place::working && borrowed_working_[signal]) return {borrowed_working_[signal]};
+    Memory& memory = place == Place::working                     ? working_
+                     : place == Place::history                   ? history_
+                     : method_ == DenoiseMethod::svgf_plus       ? next_history_
+                     : is_temporal()                             ? previous_guides_
+                                                                 : scratch_;
     return {memory.data() + signal * pixels() * Storage::color_bytes};
 }
 
@@ -154,8 +181,11 @@ typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
     return {memory.data() + signal * pixels() * Storage::moments_bytes};
 }
 
-void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset) {
+void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,
+                       const DenoiseDiagnostics* diagnostics) {
     prepare(inputs.signals);
+    diagnostics_ = diagnostics;
+    if (diagnostics) device_.clear(diagnostics->suppressed_light, pixels() * sizeof(float));
     if (reset || inputs.signals != signals_) has_history_ = false;
     signals_ = inputs.signals;
     try {
@@ -164,8 +194,10 @@ void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& output
         });
     } catch (...) {
         has_history_ = false;  // the memory holds half a frame
+        diagnostics_ = nullptr;
         throw;
     }
+    diagnostics_ = nullptr;
 }
 
 void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
@@ -196,15 +228,16 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     traffic_.clear();
     repaired_.clear();
     if constexpr (std::is_same_v<Method, Plus>) {
-        borrowed_[0] = reinterpret_cast<std::byte*>(outputs.color);
-        borrowed_[1] = resolved_.data();
+        borrowed_working_[0] = reinterpret_cast<std::byte*>(outputs.color);
+        borrowed_working_[1] = previous_guides_.data();
+        borrowed_gradients_ = reinterpret_cast<std::byte*>(outputs.variance);
         run_plus<Signals>(inputs, outputs);
     } else {
-        for (std::byte*& memory : borrowed_) memory = nullptr;
         Place place = Place::working;
         const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
         if (is_temporal()) {
-            launch("demodulate and temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            launch("demodulate+temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             variance<Method, Signals>();
             for (int level = 0; level < levels(); ++level) {
                 const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
@@ -219,6 +252,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
             has_history_ = true;
         } else {
             launch("demodulate", demodulate_stage);
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             for (int level = 0; level < levels(); ++level) {
                 const Place next = place == Place::working ? Place::scratch : Place::working;
                 edge_avoiding<Signals>(level, inputs.window, place, next);
@@ -232,58 +266,73 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
 template <int Signals>
 void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = Plus::Storage;
-    launch("demodulate", demodulate<Storage, Signals>(inputs));
-    temporal_plus<Signals>(inputs);
-    Place place = Place::history;
+    temporal_plus<Signals>(inputs, outputs.history_length);
+    if (diagnostics_) diagnose<Storage, Signals>(inputs);
+    // The last level ends in scratch, as working lies in the image that the last stage writes. It writes to history,
+    // too, so the first one, which reads it, cannot be the last.
     const int last = levels() - 1;
-    // The last level writes into history and, without antialias, into working: it reads scratch.
+    Place place = Place::history;
     for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
-        const Place next = last == level || (last - level) % 2 ? Place::scratch : Place::working;
+        const Place next = last == level || (last - level) % 2 ? Place::working : Place::scratch;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
-    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
-    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
-    const bool antialiases = settings_.antialias_frames > 1.0f;
-    if (antialiases) {
-        modulate_stage.out_color = nullptr;
-        modulate_stage.out_unresolved = color_of<Storage>(Place::spare, 0);
+    StoreFiltered<Storage, Signals> filtered;
+    for (int s = 0; s < Signals; ++s) {
+        filtered.out_color[s] = color_of<Storage>(Place::scratch, s);
+        filtered.history[s] = color_of<Storage>(Place::history, s);
     }
-    if (last >= 1)
-        atrous<Plus, Signals>("atrous and modulate", last, place, modulate_stage);
+    if (last >= 1) {
+        atrous<Plus, Signals>("atrous", last, place, filtered);
+    } else {
+        Pass<Storage, Signals> stage{{width_, height_}, {}, filtered};
+        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(place, s);
+        launch("atrous none", stage);
+    }
+    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, Place::scratch);
+    modulate_stage.out_history_length = nullptr;
+    const bool antialiases = settings_.antialias_frames > 1.0f;
+    if (antialiases)
+        antialias(inputs, modulate_stage);
     else
         launch("modulate", modulate_stage);
-    if (antialiases) antialias<Signals>(inputs, outputs);
     has_resolved_ = antialiases;
     moments_.swap(previous_moments_);
     guides_.swap(previous_guides_);
     has_history_ = true;
 }
 
+template <int Signals>
+NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
+    NoisyFrame<Signals> frame;
+    frame.width = width_;
+    frame.height = height_;
+    for (int s = 0; s < Signals; ++s) {
+        frame.in_signal[s] = inputs.signal[s];
+        frame.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
+    }
+    frame.in_normal = inputs.normal;
+    frame.in_depth = inputs.depth;
+    frame.in_depth_gradient = inputs.depth_gradient;
+    frame.in_object_id = inputs.object_id;
+    return frame;
+}
+
 // The frame's guides; illumination in working.
 template <class Storage, int Signals>
 Demodulate<Storage, Signals> Denoiser::demodulate(const DenoiseInputs& inputs) {
     Demodulate<Storage, Signals> stage;
-    stage.width = width_;
-    stage.height = height_;
-    stage.in_normal = inputs.normal;
-    stage.in_depth = inputs.depth;
-    stage.in_depth_gradient = inputs.depth_gradient;
-    stage.in_object_id = inputs.object_id;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.out_guides = guides_of<Storage>(guides_);
+    stage.out_gradients = gradients<Storage>();
     stage.out_repaired = repaired_.data();
-    for (int s = 0; s < Signals; ++s) {
-        stage.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
-        stage.out_illumination[s] = color_of<Storage>(Place::working, s);
-    }
+    for (int s = 0; s < Signals; ++s) stage.out_illumination[s] = color_of<Storage>(Place::working, s);
     return stage;
 }
 
 template <class Storage>
 Reprojection<Storage> Denoiser::reprojection(const DenoiseInputs& inputs) {
     Reprojection<Storage> result;
-    result.guides = guides_of<Storage>(guides_);
     if (has_history_) result.prev_guides = guides_of<Storage>(previous_guides_);
     result.in_motion = inputs.motion;
     result.motion_channels = inputs.motion_channels;
@@ -296,6 +345,8 @@ Reprojection<Storage> Denoiser::reprojection(const DenoiseInputs& inputs) {
 template <class Storage, int Signals>
 Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     Temporal<Storage, Signals> stage;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
     stage.reprojection = reprojection<Storage>(inputs);
     stage.alpha = settings_.alpha;
     stage.alpha_moments = settings_.alpha_moments;
@@ -309,53 +360,60 @@ Temporal<Storage, Signals> Denoiser::temporal(const DenoiseInputs& inputs) {
     return stage;
 }
 
-// From working and history to the next history, which then takes history's place; that of the frame before is spare.
+// From the inputs and history to the guides and the next history, which then takes history's place; that of the frame
+// before becomes scratch.
 template <int Signals>
-void Denoiser::temporal_plus(const DenoiseInputs& inputs) {
+void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length) {
     using Storage = Plus::Storage;
     fireflies_.clear();
     TemporalPlus<Storage, Signals> stage;
+    stage.image_width = width_;
+    stage.image_height = height_;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.reprojection = reprojection<Storage>(inputs);
-    stage.history_frames = settings_.history_frames;
+    stage.out_guides = guides_of<Storage>(guides_);
+    stage.out_gradients = gradients<Storage>();
+    stage.out_history_length = history_length;
+    stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
+    stage.out_suppressed_light = diagnostics_ ? diagnostics_->suppressed_light : nullptr;
     for (int s = 0; s < Signals; ++s) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
         stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
         stage.variance_scale[s] = square(sharper);
-        stage.in_illumination[s] = color_of<Storage>(Place::working, s);
         stage.hist_color[s] = color_of<Storage>(Place::history, s);
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
-        stage.out_color[s] = color_of<Storage>(Place::spare, s);
+        stage.out_color[s] = color_of<Storage>(Place::scratch, s);
         stage.out_moments[s] = moments_of<Storage>(moments_, s);
     }
-    launch("temporal", stage);
+    launch_tiles("demodulate+temporal", stage);
     history_.swap(next_history_);
 }
 
+// From scratch to the caller's image and, in place of the guides of the frame before, the next resolved colour.
 template <int Signals>
-void Denoiser::antialias(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
-    using Storage = Plus::Storage;
+void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStorage, Signals>& modulate) {
+    using Storage = PackedStorage;
     Antialias<Storage, Signals> stage;
+    stage.image_width = width_;
+    stage.image_height = height_;
+    stage.frame = noisy_frame<Signals>(inputs);
     stage.guides = guides_of<Storage>(guides_);
-    stage.in_color = color_of<Storage>(Place::spare, 0);
-    stage.hist_color = {previous_resolved_.data()};
+    stage.modulate = modulate;
+    stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
-    for (int s = 0; s < Signals; ++s) {
-        stage.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
-        stage.in_moments[s] = moments_of<Storage>(moments_, s);
-    }
+    for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
-    stage.out_history = {resolved_.data()};
-    stage.out_color = outputs.color;
-    launch("antialias", stage);
-    resolved_.swap(previous_resolved_);
+    stage.out_history = {previous_guides_.data()};
+    stage.out_color = modulate.out_color;
+    launch_tiles("modulate+antialias", stage);
+    resolved_.swap(previous_guides_);
 }
 
 // In place: only the variance of working changes, and no other pixel reads it.
@@ -364,6 +422,7 @@ void Denoiser::variance() {
     using Storage = typename Method::Storage;
     Variance<Method, Signals> stage;
     stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
     stage.sigma_depth = settings_.sigma_depth;
     stage.sigma_normal = settings_.sigma_normal;
     stage.spatial_variance_frames = settings_.spatial_variance_frames;
@@ -380,6 +439,7 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
     const auto launch = [&]<int PhasesLog2>() {
         Atrous<Method, Signals, PhasesLog2, Sink> stage;
         stage.guides = guides_of<Storage>(guides_);
+        stage.gradients = gradients<Storage>();
         stage.lattice = {level, width_, height_};
         stage.sigma_depth = settings_.sigma_depth;
         constexpr bool plus = std::is_same_v<Method, Plus>;
@@ -431,9 +491,50 @@ Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
         stage.in_color[s] = color_of<Storage>(from, s);
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
+        stage.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
     }
     return stage;
+}
+
+// After temporal, before the guides of the frame before are overwritten.
+template <class Storage, int Signals>
+void Denoiser::diagnose(const DenoiseInputs& inputs) {
+    Diagnose<Storage, Signals> stage;
+    stage.frame = noisy_frame<Signals>(inputs);
+    stage.in_emission = inputs.emission;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
+    if (is_temporal()) stage.reprojection = reprojection<Storage>(inputs);
+    for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
+    stage.pixel_size = (inputs.window.y - inputs.window.x) / float(width_);
+    stage.out_motion_error = diagnostics_->motion_error;
+    stage.out_reset_reason = diagnostics_->reset_reason;
+    stage.out_repaired_values = diagnostics_->repaired_values;
+    launch("diagnose", stage);
+}
+
+HostImages Denoiser::history_images() {
+    HostImages result;
+    if (!has_history_) return result;
+    with_method([&]<class Method>() {
+        using Storage = typename Method::Storage;
+        const std::vector<std::byte> colors = history_.download(), moments = previous_moments_.download();
+        for (int s = 0; s < signals_; ++s) {
+            const typename Storage::Color color{const_cast<std::byte*>(&colors[s * pixels() * Storage::color_bytes])};
+            HostImage& mean = result[std::string("color") + signal_suffix[s]] = {3, {}};
+            for (size_t i = 0; i < pixels(); ++i) {
+                const Vec4 c = color[int(i)];
+                mean.values.insert(mean.values.end(), {c.x, c.y, c.z});
+            }
+            if constexpr (std::is_same_v<Method, Plus>) {
+                const typename Storage::Moments known{
+                    const_cast<std::byte*>(&moments[s * pixels() * Storage::moments_bytes])};
+                HostImage& frames = result[std::string("frames") + signal_suffix[s]] = {1, {}};
+                for (size_t i = 0; i < pixels(); ++i) frames.values.push_back(known[int(i)].x);
+            }
+        }
+    });
+    return result;
 }
 
 int Denoiser::repaired() const { return repaired_.download()[0]; }
@@ -454,7 +555,6 @@ std::vector<BufferInfo> Denoiser::buffers() const {
     add("moments", moments_);
     add("previous moments", previous_moments_);
     add("resolved colour", resolved_);
-    add("previous resolved colour", previous_resolved_);
     add("repair counter", repaired_);
     add("firefly counter", fireflies_);
     return list;

@@ -2,10 +2,10 @@
 // Where a surface was in the frame before, and which of history's pixels saw it [Schied17, Sec. 4.1]. Shared by the
 // temporal stages; each of them says what it takes from an accepted tap.
 //
-// The depth test continues the plane through the old pixel to the reprojected point and compares it with the expected
-// previous depth (2.5D motion): the depths themselves differ when the camera moves forward or the plane is seen at a
+// The depth test continues the surface's plane from the reprojected point, where it has its expected previous depth
+// (2.5D motion), to the old pixel: the depths themselves differ when the camera moves forward or the plane is seen at a
 // grazing angle, and good history would be dropped. Half a pixel of the plane's slope is forgiven, as surfaces are
-// curved.
+// curved. The slope is this frame's: that of the frame before differs by less than is forgiven, and need not be kept.
 #pragma once
 
 #include "denoise/guides.h"
@@ -19,27 +19,29 @@ constexpr float unknown_depth_tolerance = 0.1f;
 
 template <class Storage>
 struct Reprojection {
-    typename Storage::Guides guides, prev_guides;  // prev_guides false: no history
+    typename Storage::Guides prev_guides;  // false: no history
     const float* in_motion = nullptr;              // null: nothing moved
     int motion_channels = 0;
     float depth_tolerance = 0.0f, normal_tolerance = 0.0f;
 
     struct Point {
-        float x, y;  // pixels, 0 = centre of the first one
-        float expected_depth;
-        float tolerance;  // depth
+        float x = 0.0f, y = 0.0f;  // pixels, 0 = centre of the first one
+        float expected_depth = 0.0f;
+        Vec2 slope;              // of depth, per pixel
+        float tolerance = 0.0f;  // of depth
         Vec3 normal;
-        int32_t object_id;
+        int32_t object_id = 0;  // as stored
     };
 
     int bytes_per_pixel() const {
-        return Storage::guide_bytes + (in_motion ? 4 * motion_channels : 0) + (prev_guides ? Storage::guide_bytes : 0);
+        return (in_motion ? 4 * motion_channels : 0) + (prev_guides ? Storage::guide_bytes : 0);
     }
 
     // False if it was outside the frame, nowhere known, or there is no history. surface: the pixel's normal and depth.
-    SVGF_HD bool find(int x, int y, Vec4 surface, Point& point, int& repaired) const {
+    // slope: of its depth per pixel.
+    SVGF_HD bool find(int x, int y, Vec4 surface, Vec2 slope, int32_t stored_id, Point& point, int& repaired) const {
         if (!prev_guides) return false;
-        const int pixel = guides.pixel(x, y);
+        const int pixel = prev_guides.pixel(x, y);
         Vec3 motion;
         float tolerance = depth_tolerance;
         if (in_motion) {
@@ -53,34 +55,69 @@ struct Reprojection {
         }
         point.x = float(x) + motion.x;
         point.y = float(y) + motion.y;
-        if (!(is_between(point.x, guides.width) && is_between(point.y, guides.height))) return false;
+        if (!(is_between(point.x, prev_guides.width) && is_between(point.y, prev_guides.height))) return false;
         point.expected_depth = surface.w + motion.z;
-        point.tolerance = tolerance * std::fabs(point.expected_depth);
+        point.slope = slope;
+        point.tolerance =
+            tolerance * std::fabs(point.expected_depth) + 0.5f * (std::fabs(slope.x) + std::fabs(slope.y));
         point.normal = surface.xyz();
-        point.object_id = guides.object_id(pixel);
+        point.object_id = stored_id;
         return true;
     }
 
-    // take(pixel, weight) for every bilinear tap that saw the same surface.
-    template <class Take>
-    SVGF_HD void visit_bilinear(const Point& point, const Take& take) const {
+    // Of the four bilinear taps around a point, in rows: the weight, 0 where it did not see the surface.
+    struct Taps {
+        float weight[4] = {};
+        bool are_enough = false;
+    };
+    SVGF_HD Taps weigh(const Point& point) const {
         const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
         const float fx = point.x - float(left), fy = point.y - float(top);
-        for (int j = 0; j < 2; ++j)
-            for (int i = 0; i < 2; ++i) {
-                const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
-                if (share > 0.0f && accepts(left + i, top + j, point))
-                    take(prev_guides.pixel(left + i, top + j), share);
-            }
+        Taps taps;
+        float total = 0.0f;
+        SVGF_UNROLL
+        for (int k = 0; k < 4; ++k) {
+            const int i = k % 2, j = k / 2;
+            const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
+            if (share > 0.0f && accepts(left + i, top + j, point)) taps.weight[k] = share;
+            total += taps.weight[k];
+        }
+        taps.are_enough = total >= least_tap_weight;
+        return taps;
     }
 
-    // take(pixel, 1) for every one of the 3x3 pixels around the nearest one that saw the same surface.
+    // take(pixel, weight) for every tap that saw the surface; where they are not enough, take(pixel, 1) for those of the
+    // 3x3 pixels around the nearest one.
     template <class Take>
-    SVGF_HD void visit_neighbours(const Point& point, const Take& take) const {
+    SVGF_HD void visit(const Point& point, const Taps& taps, const Take& take) const {
+        if (taps.are_enough) {
+            const int corner = prev_guides.pixel(int(std::floor(point.x)), int(std::floor(point.y)));
+            SVGF_UNROLL
+            for (int k = 0; k < 4; ++k)
+                if (taps.weight[k] > 0.0f) take(corner + k / 2 * prev_guides.width + k % 2, taps.weight[k]);
+            return;
+        }
         const int x = int(std::floor(point.x + 0.5f)), y = int(std::floor(point.y + 0.5f));
-        for (int j = -1; j <= 1; ++j)
-            for (int i = -1; i <= 1; ++i)
-                if (accepts(x + i, y + j, point)) take(prev_guides.pixel(x + i, y + j), 1.0f);
+        SVGF_NO_UNROLL
+        for (int k = 0; k < 9; ++k) {
+            const int column = x + k % 3 - 1, row = y + k / 3 - 1;
+            if (accepts(column, row, point)) take(prev_guides.pixel(column, row), 1.0f);
+        }
+    }
+
+    // A surface with the one that a pixel of the frame before saw.
+    struct Comparison {
+        bool same_object;
+        float cosine;       // between the normals
+        float depth_error;  // of the surface's plane, continued to the pixel
+    };
+    // (x, y) lies inside the frame.
+    SVGF_HD Comparison compare(int x, int y, const Point& point) const {
+        int32_t object_id;
+        const Vec4 tap = prev_guides.read(prev_guides.pixel(x, y), object_id);
+        const float plane =
+            point.expected_depth + point.slope.x * (float(x) - point.x) + point.slope.y * (float(y) - point.y);
+        return {object_id == point.object_id, dot(tap.xyz(), point.normal), tap.w - plane};
     }
 
 private:
@@ -89,14 +126,8 @@ private:
 
     SVGF_HD bool accepts(int x, int y, const Point& point) const {
         if (!prev_guides.contains(x, y)) return false;
-        const int pixel = prev_guides.pixel(x, y);
-        if (prev_guides.object_id(pixel) != point.object_id) return false;
-        const Vec4 tap = prev_guides.normal_depth(pixel);
-        if (!(dot(tap.xyz(), point.normal) >= normal_tolerance)) return false;
-        const Vec2 slope = prev_guides.gradient(pixel);
-        const float plane = tap.w + slope.x * (point.x - float(x)) + slope.y * (point.y - float(y));
-        const float allowed = point.tolerance + 0.5f * (std::fabs(slope.x) + std::fabs(slope.y));
-        return std::fabs(plane - point.expected_depth) <= allowed;
+        const Comparison tap = compare(x, y, point);
+        return tap.same_object && tap.cosine >= normal_tolerance && std::fabs(tap.depth_error) <= point.tolerance;
     }
 };
 

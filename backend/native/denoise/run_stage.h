@@ -49,11 +49,16 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     const auto image = [&](const std::string& name, int channels) -> const HostImage& {
         return find_image(arrays, name, pixels, channels);
     };
-    // The working colour of a frame may be borrowed; a stage alone has its own.
-    Memory own_working;
-    if (!working_) own_working = Memory(device_, pixels * Signals * Storage::color_bytes, "working colour");
-    for (int s = 0; s < max_signals; ++s)
-        borrowed_[s] = own_working ? own_working.data() + s * pixels * Storage::color_bytes : nullptr;
+    // What svgf+ borrows during a frame, a stage alone has of its own.
+    constexpr bool plus = std::is_same_v<Method, Plus>;
+    Memory own_working, own_gradients;
+    if constexpr (plus) {
+        own_working = Memory(device_, pixels * Signals * Storage::color_bytes, "working colour");
+        own_gradients = Memory(device_, pixels * Storage::gradient_bytes, "gradients");
+        for (int s = 0; s < Signals; ++s)
+            borrowed_working_[s] = own_working.data() + s * pixels * Storage::color_bytes;
+        borrowed_gradients_ = own_gradients.data();
+    }
 
     // Images are packed and unpacked on the host, by the stages' own code.
     const auto upload_color = [&](Place place, int s, const HostImage& rgb, const HostImage* variance) {
@@ -90,17 +95,25 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     };
     const auto upload_guides = [&](const std::string& prefix, Memory& to, const std::string& length_name) {
         const HostImage &normal = image(prefix + "normal", 3), &depth = image(prefix + "depth", 1),
-                        &gradient = image(prefix + "depth_gradient", 2), &id = image(prefix + "object_id", 1);
+                        &id = image(prefix + "object_id", 1);
         const HostImage* length = length_name.empty() ? nullptr : &image(length_name, 1);
         std::vector<std::byte> memory(to.size());
         const typename Storage::Guides guides(memory.data(), width_, height_);
         for (size_t i = 0; i < pixels; ++i) {
             const float* const n = &normal.values[3 * i];
-            guides.store(int(i), {n[0], n[1], n[2], depth.values[i]},
-                         {gradient.values[2 * i], gradient.values[2 * i + 1]}, int32_t(id.values[i]));
-            if (length) guides.store_length(int(i), length->values[i]);
+            guides.store(int(i), {n[0], n[1], n[2], depth.values[i]}, int32_t(id.values[i]));
+            if constexpr (!plus)
+                if (length) guides.store_length(int(i), length->values[i]);
         }
         to.upload(memory);
+    };
+    const auto upload_gradients = [&] {
+        const HostImage& gradient = image("depth_gradient", 2);
+        std::vector<std::byte> memory(pixels * Storage::gradient_bytes);
+        const typename Storage::Gradients gradients{memory.data()};
+        for (size_t i = 0; i < pixels; ++i)
+            gradients.store(int(i), {gradient.values[2 * i], gradient.values[2 * i + 1]});
+        device_.upload(this->gradients<Storage>().texels, memory.data(), memory.size());
     };
     const auto download_guides = [&](auto&& take) {
         std::vector<std::byte> memory = guides_.download();
@@ -118,11 +131,19 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     std::map<std::string, Buffer<float>> uploads;
     Buffer<int32_t> object_id;
     DenoiseInputs inputs;
-    if (stage == "demodulate" || stage == "modulate" || stage == "antialias") {
+    const bool demodulates = plus && stage == "temporal";
+    if (demodulates || stage == "demodulate" || stage == "modulate" || stage == "antialias") {
         HostImages stand_ins = arrays;  // modulate reads no guides and no radiance, but a frame has them
         if (stage == "modulate") {
             stand_ins.insert({"normal", {3, std::vector<float>(3 * pixels)}});
             stand_ins.insert({"depth", {1, std::vector<float>(pixels)}});
+        }
+        if (demodulates) {  // without an albedo the illumination stays as it is
+            for (const SignalInfo& info : signal_table)
+                for (const char* name : {info.name, info.albedo[0], info.albedo[1]})
+                    if (name) stand_ins.erase(name);
+            stand_ins["diffuse"] = image("illumination0", 3);
+            if (Signals == 2) stand_ins["specular"] = image("illumination1", 3);
         }
         inputs = gather_denoise_inputs([&](const char* name) -> ImageView {
             const auto found = stand_ins.find(name);
@@ -144,11 +165,14 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         repaired_.clear();
         launch("demodulate", demodulate<Storage, Signals>(inputs));
         HostImage normal{3, {}}, depth{1, {}}, gradient{2, {}}, id{1, {}};
+        std::vector<std::byte> memory(pixels * Storage::gradient_bytes);
+        device_.download(memory.data(), gradients<Storage>().texels, memory.size());
+        const typename Storage::Gradients gradients{memory.data()};
         download_guides([&](const typename Storage::Guides& guides, int pixel) {
             const Vec4 n = guides.normal_depth(pixel);
-            const Vec2 g = guides.gradient(pixel);
+            const Vec2 g = gradients[pixel];
             normal.values.insert(normal.values.end(), {n.x, n.y, n.z});
-            depth.values.push_back(n.w);
+            depth.values.push_back(min(n.w, background_depth));
             gradient.values.insert(gradient.values.end(), {g.x, g.y});
             id.values.push_back(float(guides.object_id(pixel)));
         });
@@ -158,17 +182,9 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     } else if (stage == "temporal") {
         temporal_only();
         repaired_.clear();
-        upload_guides("", guides_, "");
-        has_history_ = arrays.contains("hist_length");
-        if (has_history_) upload_guides("prev_", previous_guides_, "hist_length");
-        Buffer<float> motion;
-        if (const auto found = arrays.find("motion"); found != arrays.end()) {
-            motion = Buffer<float>(device_, std::span<const float>(found->second.values), "motion");
-            inputs.motion = motion.data();
-            inputs.motion_channels = found->second.channels;
-        }
+        has_history_ = given("hist_color0");
+        if (has_history_) upload_guides("prev_", previous_guides_, plus ? "" : "hist_length");
         for (int s = 0; s < Signals; ++s) {
-            upload_color(Place::working, s, image(numbered("illumination", s), 3), nullptr);
             if (!has_history_) continue;
             HostImage squares;  // svgf+ keeps the squared luminance after the filter there
             if (given(numbered("hist_filtered", s))) {
@@ -179,13 +195,28 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
                          squares.values.empty() ? nullptr : &squares);
             upload_moments(previous_moments_, s, image(numbered("hist_moments", s), moments_channels));
         }
+        HostImage& length = result["history_length"] = {1, {}};
         Place means = Place::working;
-        if constexpr (std::is_same_v<Method, Plus>) {
-            inputs.is_specular[1] = true;
-            temporal_plus<Signals>(inputs);
+        if constexpr (plus) {
+            Buffer<float> lengths(device_, pixels, "history length");
+            temporal_plus<Signals>(inputs, lengths.data());
             means = Place::history;
+            length.values = lengths.download();
         } else {
+            upload_guides("", guides_, "");
+            upload_gradients();
+            for (int s = 0; s < Signals; ++s)
+                upload_color(Place::working, s, image(numbered("illumination", s), 3), nullptr);
+            Buffer<float> motion;
+            if (const auto found = arrays.find("motion"); found != arrays.end()) {
+                motion = Buffer<float>(device_, std::span<const float>(found->second.values), "motion");
+                inputs.motion = motion.data();
+                inputs.motion_channels = found->second.channels;
+            }
             launch("temporal", temporal<Storage, Signals>(inputs));
+            download_guides([&](const typename Storage::Guides& guides, int pixel) {
+                length.values.push_back(guides.length(pixel));
+            });
         }
         for (int s = 0; s < Signals; ++s) {
             download_color(means, s, result[numbered("color", s)], result[numbered("variance", s)]);
@@ -198,15 +229,12 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
                 values.values.insert(values.values.end(), &value.x, &value.x + moments_channels);
             }
         }
-        HostImage& length = result["history_length"] = {1, {}};
-        download_guides([&](const typename Storage::Guides& guides, int pixel) {
-            length.values.push_back(guides.length(pixel));
-        });
         has_history_ = false;
     } else if (stage == "variance") {
-        if constexpr (!std::is_same_v<Method, Plus>) {
+        if constexpr (!plus) {
             temporal_only();
             upload_guides("", guides_, "history_length");
+            upload_gradients();
             for (int s = 0; s < Signals; ++s) {
                 const HostImage& moments = image(numbered("moments", s), 2);
                 HostImage variance{1, {}};
@@ -224,6 +252,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     } else if (stage == "atrous") {
         const Place to = is_temporal() ? Place::history : Place::scratch;
         upload_guides("", guides_, "");
+        upload_gradients();
         for (int s = 0; s < Signals; ++s)
             upload_color(Place::working, s, image(numbered("color", s), 3),
                          is_temporal() ? &image(numbered("variance", s), 1) : nullptr);
@@ -255,26 +284,30 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         result["color"] = {3, color.download()};
         result["variance"] = {1, spread.download()};
     } else if (stage == "antialias") {
-        if constexpr (std::is_same_v<Method, Plus>) {
+        if constexpr (plus) {
             upload_guides("", guides_, "");
-            upload_color(Place::spare, 0, image("unresolved", 3), nullptr);
+            // The picture is that of the first signal, without an albedo.
+            const HostImage none{3, std::vector<float>(3 * pixels)};
+            upload_color(Place::scratch, 0, image("unresolved", 3), nullptr);
+            if (Signals == 2) upload_color(Place::scratch, 1, none, nullptr);
             for (int s = 0; s < Signals; ++s)
                 upload_moments(moments_, s, image(numbered("moments", s), moments_channels));
+            // The resolved picture lies in memory of its own, and passes through working.
             has_history_ = has_resolved_ = given("resolved");
             if (has_history_) {
-                history_.swap(previous_resolved_);  // upload_color fills history
                 HostImage squares = image("resolved_frames", 1);
                 for (float& frames : squares.values) frames = square(frames);
-                upload_color(Place::history, 0, image("resolved", 3), &squares);
-                history_.swap(previous_resolved_);
+                upload_color(Place::working, 0, image("resolved", 3), &squares);
+                device_.copy(resolved_.data(), own_working.data(), resolved_.bytes());
             }
             Buffer<float> color(device_, 3 * pixels, "color");
-            antialias<Signals>(inputs, {color.data(), nullptr, nullptr});
+            Buffer<float> spread(device_, pixels, "variance");
+            DenoiseInputs picture;
+            antialias(inputs, modulate<Storage, Signals>(picture, {color.data(), spread.data()}, Place::scratch));
             result["color"] = {3, color.download()};
-            history_.swap(previous_resolved_);
+            device_.copy(own_working.data(), resolved_.data(), resolved_.bytes());
             HostImage& frames = result["resolved_frames"];
-            download_color(Place::history, 0, unused, frames);
-            history_.swap(previous_resolved_);
+            download_color(Place::working, 0, unused, frames);
             for (float& value : frames.values) value = std::sqrt(value);
             has_history_ = has_resolved_ = false;
         }

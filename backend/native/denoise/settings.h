@@ -31,6 +31,10 @@ namespace svgf {
             "Reprojection accepts history whose normal has at least this cosine with the new one.")                    \
     SETTING(history_frames, float, 20.0, 1.0, 4096.0, "frames", "",                                                    \
             "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
+    SETTING(history_seconds, float, 0.0, 0.0, 3600.0, "s", "",                                                         \
+            "svgf+: the same in seconds, so that lag is the same at any frame_rate. 0: history_frames counts.")     \
+    SETTING(frame_rate, float, 24.0, 0.01, 1e5, "frames/s", "",                                                        \
+            "svgf+: frames in a second of the sequence, or of a view as it is drawn, for history_seconds.")            \
     SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
     SETTING(specular_history_clamp, float, 0.4, 0.0, 1e6, "standard deviations", "",                                   \
@@ -60,6 +64,13 @@ struct DenoiseSettings {
 #undef SVGF_MEMBER
 
     bool operator==(const DenoiseSettings&) const = default;
+
+    // svgf+: in frames, where something moves.
+    float longest_history() const {
+        if (history_seconds <= 0.0f) return history_frames;
+        const float frames = history_seconds * frame_rate;
+        return frames < 1.0f ? 1.0f : frames > 4096.0f ? 4096.0f : frames;
+    }
 };
 
 struct SettingInfo {

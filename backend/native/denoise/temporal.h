@@ -19,6 +19,8 @@ namespace svgf {
 
 template <class Storage, int Signals>
 struct Temporal {
+    typename Storage::Guides guides;
+    typename Storage::Gradients gradients;
     Reprojection<Storage> reprojection;
     typename Storage::Color in_illumination[Signals], hist_color[Signals];
     typename Storage::Moments hist_moments[Signals];
@@ -29,15 +31,15 @@ struct Temporal {
 
     int bytes_per_pixel() const {
         const int history = reprojection.prev_guides ? Signals * (Storage::color_bytes + Storage::moments_bytes) : 0;
-        return reprojection.bytes_per_pixel() + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) + history;
+        return Storage::guide_bytes + Storage::gradient_bytes + Storage::length_bytes +
+               reprojection.bytes_per_pixel() + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) + history;
     }
     // Where demodulate has just written this pixel's guides and colour, which are written again or not at all.
     int bytes_per_pixel_after_demodulate() const {
-        return bytes_per_pixel() - Storage::guide_bytes - Signals * 2 * Storage::color_bytes;
+        return bytes_per_pixel() - Storage::guide_bytes - Storage::gradient_bytes - Signals * 2 * Storage::color_bytes;
     }
 
     SVGF_HD void operator()(int x, int y) const {
-        const auto& guides = reprojection.guides;
         const int pixel = guides.pixel(x, y);
         Mean old;
         const Vec4 surface = guides.normal_depth(pixel);
@@ -77,12 +79,15 @@ private:
 
     SVGF_HD void read_history(int x, int y, Vec4 surface, Mean& old, int& repaired) const {
         typename Reprojection<Storage>::Point point;
-        if (!reprojection.find(x, y, surface, point, repaired)) return;
+        const int pixel = guides.pixel(x, y);
+        if (!reprojection.find(x, y, surface, gradients[pixel], guides.object_id(pixel), point, repaired)) return;
         const auto take = [&](int pixel, float weight) { add_tap(pixel, weight, old, repaired); };
-        reprojection.visit_bilinear(point, take);
-        if (old.weight >= least_tap_weight) return;
-        old = {};  // too little found
-        reprojection.visit_neighbours(point, take);
+        auto taps = reprojection.weigh(point);
+        reprojection.visit(point, taps, take);
+        if (!taps.are_enough || old.weight >= least_tap_weight) return;
+        old = {};  // too much of it is not usable
+        taps.are_enough = false;
+        reprojection.visit(point, taps, take);
     }
 
     SVGF_HD void add_tap(int pixel, float weight, Mean& old, int& repaired) const {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "temporal" of svgf+: firefly limit, reprojection, running means, and the variance that is left in them.
 //
-// Reads 3x3 pixels of the frame's illumination and what the frame before left: its guides, per signal the mean colour
-// and the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour the variance
-// of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage "variance"
-// follows.
+// Reads 3x3 pixels of the public images, demodulated on the way, and what the frame before left: its guides, per signal
+// the mean colour and the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour
+// the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage
+// "variance" follows.
 //
 // Departures from [Schied17]. Measured on two 1-spp sequences of Cycles, a box with chrome and glass and a gallery;
 // relMSE, FLIP of each with svgf, with svgf+, and with a step of svgf+ off:
@@ -36,8 +36,10 @@
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
 
+#include "denoise/demodulate.h"
 #include "denoise/denoiser.h"
 #include "denoise/reprojection.h"
+#include "denoise/tiles.h"
 
 namespace svgf {
 
@@ -50,183 +52,270 @@ constexpr float threshold_rise = 0.1f, threshold_frames = 16.0f;
 constexpr float neighbour_share = 0.1f;
 
 template <class Storage, int Signals>
-struct TemporalPlus {
+struct TemporalPlus : Tiles {
+    using Tiles::height, Tiles::width;
+    static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
+
+    struct Tile {
+        Vec4 surface[places];         // normal, depth
+        Vec4 color[Signals][places];  // illumination, luminance
+        float light[Signals][places];  // the luminance again, for when it alone is read
+        int32_t object_id[places];    // 0: no surface
+    };
+    struct Texel {
+        typename NoisyFrame<Signals>::Surface surface;
+        typename NoisyFrame<Signals>::Signal signal[Signals];
+        bool is_inside, is_own;  // of the image, of the tile
+    };
+
+    NoisyFrame<Signals> frame;
     Reprojection<Storage> reprojection;
-    typename Storage::Color in_illumination[Signals];
     typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
     typename Storage::Moments hist_moments[Signals];
     float history_frames, firefly_limit, change_threshold;
     float history_clamp[Signals];   // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
+    typename Storage::Guides out_guides;
+    typename Storage::Gradients out_gradients;
     typename Storage::Color out_color[Signals];  // with the variance of the mean
     typename Storage::Moments out_moments[Signals];
+    float* out_history_length;  // [H, W] frames, of the signal that has the fewest
     int* out_repaired;
     FireflyCount* out_fireflies;
+    float* out_suppressed_light;  // [H, W] see DenoiseDiagnostics; null: nobody asks
 
     int bytes_per_pixel() const {
-        const int history = reprojection.prev_guides ? Signals * (Storage::color_bytes + Storage::moments_bytes) : 0;
-        return reprojection.bytes_per_pixel() + Signals * (2 * Storage::color_bytes + Storage::moments_bytes) + history;
+        const int signal = Signals * (Storage::color_bytes + Storage::moments_bytes);
+        return frame.bytes_per_pixel() + reprojection.bytes_per_pixel() + (reprojection.prev_guides ? 2 : 1) * signal +
+               Storage::guide_bytes + Storage::gradient_bytes + 4;
     }
 
-    SVGF_HD void operator()(int x, int y) const {
-        const auto& guides = reprojection.guides;
-        const int pixel = guides.pixel(x, y);
-        const Vec4 surface = guides.normal_depth(pixel);
-        if (!is_surface(surface.w)) {
-            for (int s = 0; s < Signals; ++s) {
-                const Vec3 color = in_illumination[s][pixel].xyz();
-                out_color[s].store(pixel, {color.x, color.y, color.z, 0.0f});
-                out_moments[s].store(pixel, {});
-            }
-            guides.store_length(pixel, 0.0f);
-            return;
-        }
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
+        const int x = Tiles::x(tile_column, place), y = Tiles::y(tile_row, place);
+        const int pixel = out_guides.nearest_pixel(x, y);
+        Texel texel;
+        texel.surface = frame.fetch_surface(pixel);
+        for (int s = 0; s < Signals; ++s) texel.signal[s] = frame.fetch_signal(s, pixel);
+        texel.is_inside = out_guides.contains(x, y);
+        texel.is_own = owns(tile_column, tile_row, x, y);
+        return texel;
+    }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
         int repaired = 0;
-        bool moves = false;
-        Mean old;
-        read_history(x, y, surface, old, moves, repaired);
-        count(out_repaired, repaired);
+        int32_t id;
+        tile.surface[place] = frame.surface(texel.surface, id, repaired);
+        tile.object_id[place] = texel.is_inside ? id : 0;
+        for (int s = 0; s < Signals; ++s) {
+            const Vec3 c = frame.illumination(s, texel.signal[s], repaired);
+            const float light = luminance(c);
+            tile.color[s][place] = {c.x, c.y, c.z, light};
+            tile.light[s][place] = light;
+        }
+        if (texel.is_own) count(out_repaired, repaired);
+    }
+    struct Own {};
+    SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
 
-        Neighbours near;
-        find_neighbours(x, y, surface, near);
-        float shortest = largest_float;
-        for (int s = 0; s < Signals; ++s) shortest = min(shortest, accumulate(s, pixel, near, old, moves));
-        guides.store_length(pixel, shortest);
+    SVGF_HD void operator()(const Tile& tile, Own, int tile_column, int tile_row, int thread_x, int thread_y) const {
+        SVGF_NO_UNROLL
+        for (int row = thread_y; row < rows; row += threads_y) {
+            const int x = tile_column * columns + thread_x, y = tile_row * rows + row;
+            if (out_guides.contains(x, y)) filter(tile, place(thread_x, row), x, y);
+        }
     }
 
 private:
-    // Weighted mean of history taps.
-    struct Mean {
-        float weight = 0.0f;
-        Vec3 color[Signals];
-        float frames[Signals] = {}, variance[Signals] = {}, filtered_light[Signals] = {}, drift[Signals] = {};
+    // What history says of a signal, a weighted mean of its taps.
+    struct History {
+        bool found = false;
+        Vec3 color;
+        float frames = 0.0f, variance = 0.0f, filtered_light = 0.0f, drift = 0.0f;
     };
 
-    // The pixels around that show the same surface.
+    // One bit for each of the pixels around, in the order of Tiles::neighbour: it shows the same surface.
     struct Neighbours {
+        uint32_t mask = 0;
         int count = 0;
-        Vec3 color[Signals][8];
+
+        SVGF_HD bool has(int n) const { return mask >> n & 1u; }
     };
 
-    SVGF_HD void read_history(int x, int y, Vec4 surface, Mean& old, bool& moves, int& repaired) const {
-        typename Reprojection<Storage>::Point point;
-        if (!reprojection.find(x, y, surface, point, repaired)) return;
-        moves = point.x != float(x) || point.y != float(y);
-        const auto take = [&](int pixel, float weight) {
-            old.weight += weight;
-            const float share = weight / old.weight;
+    SVGF_HD void filter(const Tile& tile, int place, int x, int y) const {
+        const int pixel = out_guides.pixel(x, y);
+        const Vec4 surface = tile.surface[place];
+        const int32_t id = tile.object_id[place];
+        out_guides.store(pixel, surface, id);
+        if (id == 0) {
             for (int s = 0; s < Signals; ++s) {
-                const Vec4 moments = hist_moments[s][pixel];
-                const Vec4 color = hist_color[s][pixel];
-                old.color[s] += (color.xyz() - old.color[s]) * share;
-                old.filtered_light[s] += (fast_sqrt(color.w) - old.filtered_light[s]) * share;
-                old.frames[s] += (moments.x - old.frames[s]) * share;
-                old.variance[s] += (moments.y - old.variance[s]) * share;
+                const Vec4 color = tile.color[s][place];
+                out_color[s].store(pixel, {color.x, color.y, color.z, 0.0f});
+                out_moments[s].store(pixel, {});
             }
-        };
-        reprojection.visit_bilinear(point, take);
-        if (!(old.weight >= least_tap_weight)) {
-            old = {};  // too little found
-            reprojection.visit_neighbours(point, take);
+            out_gradients.store(pixel, {});
+            out_history_length[pixel] = 0.0f;
+            return;
         }
-        if (old.weight > 0.0f) read_drift(int(std::floor(point.x + 0.5f)), int(std::floor(point.y + 0.5f)), old);
+        int repaired = 0;
+        const Vec2 gradient = frame.gradient(x, y, id, repaired);
+        out_gradients.store(pixel, gradient);
+        typename Reprojection<Storage>::Point point;
+        const int32_t stored_id = out_guides.stored_id(id);
+        const bool reaches = reprojection.find(x, y, surface, gradient, stored_id, point, repaired);
+        const bool moves = reaches && (point.x != float(x) || point.y != float(y));
+        const auto taps = reaches ? reprojection.weigh(point) : typename Reprojection<Storage>::Taps{};
+
+        const Neighbours near = find_neighbours(tile, place, surface, id);
+        float shortest = largest_float;
+        SVGF_UNROLL
+        for (int s = 0; s < Signals; ++s) {
+            History old;
+            if (reaches) read_history(s, point, taps, old);
+            shortest = fast_min(shortest, accumulate(s, pixel, tile, place, near, old, moves));
+        }
+        out_history_length[pixel] = shortest;
+        count(out_repaired, repaired);
+    }
+
+    SVGF_HD Neighbours find_neighbours(const Tile& tile, int place, Vec4 surface, int32_t id) const {
+        Neighbours near;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) {
+            const int tap = place + neighbour(n);
+            const bool same = tile.object_id[tap] == id &&
+                              dot(tile.surface[tap].xyz(), surface.xyz()) >= reprojection.normal_tolerance;
+            near.mask |= uint32_t(same) << n;
+        }
+        near.count = count_set_bits(near.mask);
+        return near;
+    }
+
+    // point: where the signal was a frame ago; taps: the pixels there that saw the surface.
+    SVGF_HD void read_history(int s, const typename Reprojection<Storage>::Point& point,
+                              const typename Reprojection<Storage>::Taps& taps, History& old) const {
+        float total = 0.0f;
+        const auto take = [&](int pixel, float weight) {
+            const Vec4 moments = hist_moments[s][pixel];
+            const Vec4 color = hist_color[s][pixel];
+            total += weight;
+            old.color += weight * color.xyz();
+            old.filtered_light += weight * fast_sqrt(color.w);
+            old.frames += weight * moments.x;
+            old.variance += weight * moments.y;
+        };
+        reprojection.visit(point, taps, take);
+        if (!(total > 0.0f)) return;
+        old.found = true;
+        const float scale = fast_reciprocal(total);
+        old.color *= scale;
+        old.filtered_light *= scale;
+        old.frames *= scale;
+        old.variance *= scale;
+        old.drift = mean_drift(s, int(std::floor(point.x + 0.5f)), int(std::floor(point.y + 0.5f)));
     }
 
     // Of nine pixels, whatever they show.
-    SVGF_HD void read_drift(int x, int y, Mean& old) const {
-        const auto& guides = reprojection.guides;
-        for (int j = -1; j <= 1; ++j)
-            for (int i = -1; i <= 1; ++i) {
-                const int tap = guides.pixel(clamp(x + i * drift_spacing, 0, guides.width - 1),
-                                             clamp(y + j * drift_spacing, 0, guides.height - 1));
-                for (int s = 0; s < Signals; ++s) old.drift[s] += hist_moments[s].drift(tap) * (1.0f / 9.0f);
-            }
+    SVGF_HD float mean_drift(int s, int x, int y) const {
+        int columns[3], sum = 0;
+        SVGF_UNROLL
+        for (int i = 0; i < 3; ++i) columns[i] = clamp(x + (i - 1) * drift_spacing, 0, out_guides.width - 1);
+        SVGF_UNROLL
+        for (int j = 0; j < 3; ++j) {
+            const int row = out_guides.pixel(0, clamp(y + (j - 1) * drift_spacing, 0, out_guides.height - 1));
+            SVGF_UNROLL
+            for (int i = 0; i < 3; ++i) sum += hist_moments[s].drift_steps(row + columns[i]);
+        }
+        return float(sum) * (Storage::Moments::drift_step / 9.0f);
     }
 
-    SVGF_HD void find_neighbours(int x, int y, Vec4 surface, Neighbours& near) const {
-        const auto& guides = reprojection.guides;
-        const int32_t id = guides.object_id(guides.pixel(x, y));
-        for (int j = -1; j <= 1; ++j)
-            for (int i = -1; i <= 1; ++i) {
-                if ((i == 0 && j == 0) || !guides.contains(x + i, y + j)) continue;
-                const int tap = guides.pixel(x + i, y + j);
-                if (guides.object_id(tap) != id) continue;
-                if (!(dot(guides.normal_depth(tap).xyz(), surface.xyz()) >= reprojection.normal_tolerance)) continue;
-                for (int s = 0; s < Signals; ++s) near.color[s][near.count] = in_illumination[s][tap].xyz();
-                ++near.count;
-            }
-    }
+    // Brings the sample into the mean of a signal. Returns the frames that are in the mean.
+    SVGF_HD float accumulate(int s, int pixel, const Tile& tile, int place, Neighbours near, const History& old,
+                             bool moves) const {
+        const Vec4 own = tile.color[s][place];
+        float lights[neighbours], sum = 0.0f, most = 0.0f;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) {
+            lights[n] = near.has(n) ? tile.light[s][place + neighbour(n)] : 0.0f;
+            sum += lights[n];
+            most = fast_max(most, lights[n]);
+        }
+        const float limit = firefly_limit * expected_light(old, near.count, sum - most, own.w);
+        if (own.w > limit) count_firefly(pixel, own.w - limit);
 
-    // Brings the sample into the mean of a signal. Returns the frames that are in it.
-    SVGF_HD float accumulate(int s, int pixel, const Neighbours& near, const Mean& old, bool moves) const {
-        Vec3 sample = in_illumination[s][pixel].xyz();
-        const bool has_history = old.weight > 0.0f;
-        const float limit = firefly_limit * expected_light(s, near, old, luminance(sample));
-        sample = limited(sample, limit, true);
-
-        Vec3 local = sample;
-        float light = luminance(sample), squares = 0.0f;
-        const float own_light = light;
-        for (int n = 0; n < near.count; ++n) local += limited(near.color[s][n], limit, false);
-        local = local / float(near.count + 1);
-        const float local_light = luminance(local);
-        squares = square(own_light - local_light);
-        for (int n = 0; n < near.count; ++n)
-            squares += square(luminance(limited(near.color[s][n], limit, false)) - local_light);
+        // The 3x3 samples' luminance: mean and variance.
+        const float own_light = fast_min(own.w, limit);
+        float local_light = own_light;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n) local_light += fast_min(lights[n], limit);
+        local_light *= fast_reciprocal(float(near.count + 1));
+        float squares = square(own_light - local_light);
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            squares += near.has(n) ? square(fast_min(lights[n], limit) - local_light) : 0.0f;
         // A pixel without neighbours is as uncertain as it is bright.
-        const float spread = near.count > 0 ? squares / float(near.count) : square(own_light);
+        const float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
 
-        // Light that has changed.
-        const float doublings = max(fast_log2(max(old.frames[s], 1.0f) * (1.0f / threshold_frames)), 0.0f);
+        // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
+        const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
         const float threshold = change_threshold * (1.0f + threshold_rise * doublings);
-        const float kept_of_change = clamp(6.0f - 5.0f * std::fabs(old.drift[s]) / threshold, 0.0f, 1.0f);
-        Vec3 history = local + (old.color[s] - local) * kept_of_change;
-        const float old_frames = old.frames[s] * kept_of_change;
-
-        float frames = old_frames + 1.0f;
-        if (moves) frames = min(frames, history_frames);
-        const float variance = old.variance[s] + (spread - old.variance[s]) / frames;
+        float kept = clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
+        const bool changed = kept < 1.0f;
+        float frames = old.frames * kept + 1.0f;
+        if (moves) frames = fast_min(frames, history_frames);
+        const float variance = old.variance + (spread - old.variance) * fast_reciprocal(frames);
         float drift = 0.0f;
-        if (has_history) {
-            const float deviation = fast_sqrt(max(variance, old.variance[s]));
-            const float residual = (own_light - luminance(history)) / (deviation + 1e-3f * local_light + 1e-30f);
-            drift = old.drift[s] + (clamp(residual, -4.0f, 4.0f) - old.drift[s]) * drift_rate;
-            const float distance = std::fabs(luminance(history) - local_light);
+        if (old.found) {
+            const float offset = (luminance(old.color) - local_light) * kept;  // of history, which it leaves of it
+            const float deviation = fast_sqrt(fast_max(variance, old.variance));
+            const float residual = (own_light - local_light - offset) *
+                                   fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
+            drift = old.drift + (clamp(residual, -4.0f, 4.0f) - old.drift) * drift_rate;
+            const float distance = std::fabs(offset);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;
             if (distance > allowed) {
-                const float kept = allowed / distance;
-                history = local + (history - local) * kept;
-                frames = max(old_frames * kept, 1.0f) + 1.0f;
-                if (moves) frames = min(frames, history_frames);
+                const float share = allowed * fast_reciprocal(distance);
+                frames = fast_max(old.frames * kept * share, 1.0f) + 1.0f;
+                if (moves) frames = fast_min(frames, history_frames);
+                kept *= share;
             }
         }
-        const Vec3 mean = history + (sample - history) / frames;
-        out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance / frames});
-        out_moments[s].store(pixel, {frames, variance, drift, kept_of_change < 1.0f ? 1.0f : 0.0f});
+        const Vec3 sample = limited(own, limit);
+        Vec3 history = old.color;
+        if (kept < 1.0f) {
+            const Vec3 local = local_color(tile, s, place, near, limit, sample);
+            history = local + (history - local) * kept;
+        }
+        const float share = fast_reciprocal(frames);
+        const Vec3 mean = history + (sample - history) * share;
+        out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance * share});
+        out_moments[s].store(pixel, {frames, variance, drift, changed ? 1.0f : 0.0f});
         return frames;
     }
 
-    // Luminance of a sample by what the filter made of history, and by the neighbours; without either, its own.
-    SVGF_HD float expected_light(int s, const Neighbours& near, const Mean& old, float own) const {
-        float sum = 0.0f, most = 0.0f;
-        for (int n = 0; n < near.count; ++n) {
-            const float light = luminance(near.color[s][n]);
-            sum += light;
-            most = max(most, light);
-        }
-        const float local = near.count > 1 ? max(sum - most, 0.0f) / float(near.count - 1) : own;
-        return old.weight > 0.0f ? max(old.filtered_light[s], near.count > 1 ? neighbour_share * local : 0.0f) : local;
+    // Mean of the 3x3 samples.
+    SVGF_HD Vec3 local_color(const Tile& tile, int s, int place, Neighbours near, float limit, Vec3 sample) const {
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            if (near.has(n)) sample += limited(tile.color[s][place + neighbour(n)], limit);
+        return sample * fast_reciprocal(float(near.count + 1));
     }
 
-    SVGF_HD Vec3 limited(Vec3 color, float limit, bool counts) const {
-        const float light = luminance(color);
-        if (!(light > limit)) return color;
-        if (counts) {
-            count(&out_fireflies->samples, 1ull);
-            const float cut = min(light - limit, 1e12f) * float(light_units);
-            count(&out_fireflies->light, static_cast<unsigned long long>(cut));
-        }
-        return color * (limit / light);
+    // Luminance of a sample by what the filter made of history, and by the neighbours; without either, its own. others:
+    // the neighbours' luminances but the largest, summed.
+    SVGF_HD static float expected_light(const History& old, int count, float others, float own) {
+        const float local = count > 1 ? fast_max(others, 0.0f) * fast_reciprocal(float(count - 1)) : own;
+        if (!old.found) return local;
+        return fast_max(old.filtered_light, count > 1 ? neighbour_share * local : 0.0f);
+    }
+
+    // color: rgb and luminance.
+    SVGF_HD static Vec3 limited(Vec4 color, float limit) {
+        return color.w > limit ? color.xyz() * (limit * fast_reciprocal(color.w)) : color.xyz();
+    }
+
+    SVGF_HD void count_firefly(int pixel, float light) const {
+        if (out_suppressed_light) out_suppressed_light[pixel] += light;
+        count(&out_fireflies->samples, 1ull);
+        count(&out_fireflies->light, static_cast<unsigned long long>(fast_min(light, 1e12f) * float(light_units)));
     }
 };
 

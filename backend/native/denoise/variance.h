@@ -16,6 +16,7 @@ struct Variance {
     static constexpr int radius = 3;
 
     typename Storage::Guides guides;
+    typename Storage::Gradients gradients;
     typename Storage::Moments in_moments[Signals];
     float sigma_depth, sigma_normal;
     int spatial_variance_frames;
@@ -28,7 +29,7 @@ struct Variance {
         if (guides.length(pixel) >= float(spatial_variance_frames)) return;
         const Vec4 p = guides.normal_depth(pixel);
         if (!is_surface(p.w)) return;
-        const EdgeWeight<typename Method::Normal> edge(p, guides.gradient(pixel), sigma_depth, sigma_normal);
+        const EdgeWeight<typename Method::Normal> edge(p, gradients[pixel], sigma_depth, sigma_normal);
         float weight = 0.0f, mean[Signals] = {}, squares[Signals] = {};
         for (int dy = -radius; dy <= radius; ++dy)
             for (int dx = -radius; dx <= radius; ++dx) {

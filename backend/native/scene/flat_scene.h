@@ -19,10 +19,11 @@ struct alignas(16) LeafTriangle {
 };
 static_assert(sizeof(LeafTriangle) == 48);
 
-struct CornerNormals {  // 36 bytes; all zero: use the face normal
+struct alignas(16) CornerNormals {  // 48 bytes; all zero: use the face normal
     Vec3 corner[3];
+    float unused[3] = {};
 };
-struct CornerUvs {  // 24 bytes
+struct alignas(8) CornerUvs {  // 24 bytes
     Vec2 corner[3];
 };
 struct TrianglePositions {  // 36 bytes
@@ -41,6 +42,14 @@ struct MeshView {
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
 };
 
+// What light passes a triangle straight.
+enum class OpacityClass : std::uint8_t {
+    opaque,   // none
+    clear,    // all
+    cut_out,  // of any colour the same share: find_opacity
+    shaded,   // that which only shading tells, as the surface tints it, is one of several, or shines
+};
+
 // Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
 namespace ray_kind {
 constexpr std::uint32_t camera = 1, diffuse = 2, glossy = 4, transmission = 8, shadow = 16, all = 31;
@@ -56,6 +65,12 @@ struct alignas(16) Instance {
     std::uint32_t emitter : 24;    // 1 + index of its Emitter; 0: it does not shine
 };
 static_assert(sizeof(Instance) == 64);
+
+// A part of an instance: nodes or primitives of its mesh's tree, as a group of trace/intersect.h names them.
+struct TopLeaf {
+    std::int32_t instance;
+    std::uint32_t first, bits;
+};
 
 struct Placement {  // 96 bytes, read once per hit
     Mat34 object_to_world, previous_object_to_world;
@@ -92,7 +107,7 @@ struct alignas(16) Material {
     std::int32_t map_start, map_count, tangent_uv_layer;
     float multiscatter;  // 1: with energy compensation; 0: without
     Vec3 light_emission;
-    float unused;
+    std::int32_t alpha_map;  // of material_maps; -1: alpha is a constant
 };
 static_assert(sizeof(Material) == 48 * sizeof(float));
 
@@ -129,7 +144,8 @@ struct alignas(16) MaterialMap {
     std::int32_t channel;  // of a scalar; -1: RGB
     std::int32_t uv_layer;
     float uv_transform[6];
-    float unused[2];
+    std::int32_t same_texel;  // as the map before this one reads: not 0
+    float unused;
 };
 static_assert(sizeof(MaterialMap) == 12 * sizeof(float));
 
@@ -179,7 +195,7 @@ static_assert(sizeof(LightNode) == 12 * sizeof(float));
 enum class Interpolation : std::int32_t { closest, linear, cubic };
 enum class Extension : std::int32_t { repeat, extend, clip, mirror };
 
-struct TextureView {
+struct alignas(16) TextureView {
     const std::uint32_t* bytes = nullptr;  // RGBA, red in the lowest byte; null: floats
     const Vec4* floats = nullptr;
     std::int32_t width = 0, height = 0;
@@ -222,16 +238,20 @@ struct WorldView {
 
 struct SceneView {
     const WideNode* nodes = nullptr;               // top level
-    const std::int32_t* instance_order = nullptr;  // instance of each of its leaves
-    bool has_one_instance = false;                 // rays then start in it
+    const TopLeaf* top_leaves = nullptr;  // its primitives
+    bool has_one_leaf = false;            // rays then start in it
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
+    // Of each instance the OpacityClass of its triangles, in leaf order; null: no light passes any of them.
+    const std::uint8_t* const* opacity = nullptr;
     const std::int32_t* material_table = nullptr;
     const Material* materials = nullptr;
     const MaterialMap* material_maps = nullptr;
     const TextureView* textures = nullptr;
     const float* albedo_tables = nullptr;  // of trace/microfacet.h
+    // Surfaces neither shine nor are OpacityClass::shaded: what the last ray of a path hits adds nothing.
+    bool last_hits_are_dark = false;
     LightsView lights;
     WorldView world;
 };

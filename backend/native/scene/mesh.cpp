@@ -12,6 +12,9 @@
 namespace svgf {
 namespace {
 
+// Nodes that the top level of a scene may open.
+constexpr std::size_t most_top_nodes = 512;
+
 Vec3 vector_at(std::span<const float> values, std::size_t i) {
     return {values[3 * i], values[3 * i + 1], values[3 * i + 2]};
 }
@@ -158,6 +161,8 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         view_.uv_layers = std::int32_t(uv_layers);
         view_.triangle_count = std::int32_t(count);
     }
+    if (previous.empty())
+        top_nodes_.assign(bvh.nodes.begin(), bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
     if (!previous.empty()) {
         previous_positions_ = Buffer<TrianglePositions>(device, previous, "previous positions");
         view_.previous_positions = previous_positions_.data();

@@ -41,6 +41,8 @@ public:
     bool refit(Device& device, const Arrays& arrays);
 
     const MeshView& view() const { return view_; }
+    // The topmost nodes of the tree, parents before children; none of a mesh that deforms.
+    std::span<const WideNode> top_nodes() const { return top_nodes_; }
     Vec3 centre() const { return centre_; }           // of the view, in the coordinates of Arrays
     const Bounds& bounds() const { return bounds_; }  // of the view
     int slot_count() const { return slot_count_; }    // largest material slot of a hittable triangle + 1
@@ -72,6 +74,7 @@ private:
     Vec3 centre_;
     Bounds bounds_;
     int slot_count_ = 0;
+    std::vector<WideNode> top_nodes_;
     Buffer<WideNode> nodes_;
     Buffer<LeafTriangle> triangles_;
     Buffer<CornerNormals> normals_;

@@ -21,11 +21,15 @@ public:
             bool associated_alpha);
 
     const TextureView& view() const { return view_; }
+    // Least and largest values as stored, [0, 1] for bytes.
+    Vec4 low() const { return low_; }
+    Vec4 high() const { return high_; }
 
 private:
     Buffer<std::uint32_t> bytes_;
     Buffer<Vec4> floats_;
     TextureView view_;
+    Vec4 low_, high_;
 };
 
 }  // namespace svgf

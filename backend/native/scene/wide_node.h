@@ -52,6 +52,14 @@ struct alignas(16) WideNode {
         return (bits & 1u) + (bits >> 1 & 1u) + (bits >> 2);
     }
 
+    // Box of the child in a slot, as wide as rays find it but for their margin.
+    SVGF_HD Bounds child_box(int s) const {
+        const Vec3 scale{step(0), step(1), step(2)};
+        const Vec3 from{float(byte(low[0], s)), float(byte(low[1], s)), float(byte(low[2], s))};
+        const Vec3 to{float(byte(high[0], s)), float(byte(high[1], s)), float(byte(high[2], s))};
+        return {origin + from * scale, origin + to * scale};
+    }
+
     // Sets the boxes of the children, child[s] for slot s, and all that describes them. box: around all of them.
     SVGF_HD void set_boxes(const Bounds& box, const Bounds (&child)[wide_node_children]) {
         origin = box.low;

@@ -52,6 +52,15 @@ struct BsdfSample {
     BsdfEvent event = BsdfEvent::none;
 };
 
+// The mirrored or the refracted direction of a surface that is smooth and not diffuse, whichever carries more.
+struct SmoothBounce {
+    BsdfEvent event = BsdfEvent::none;  // none: the surface scatters, or ends the path
+    Vec3 direction;
+    Vec3 weight;     // of all mirrors that lead there
+    Vec3 elsewhere;  // albedo of the rest; less than the weight
+    float eta = 0;   // of refraction, as in refract(); 0: a mirror
+};
+
 template <Effects kernel>
 class Bsdf {
 public:
@@ -72,6 +81,34 @@ public:
     SVGF_HD BsdfSample sample(Vec2 u, float lobe) const {
         const Event event = choose_event(u, lobe);
         return event.is_mirror ? finish_mirror(event) : finish(event);
+    }
+
+    SVGF_HD SmoothBounce find_smooth_bounce() const {
+        if constexpr (!has_specular) return {};
+        if (max_component(diffuse_albedo) > 0.0f) return {};
+        Vec3 reflected, refracted;
+        if (alpha_.is_smooth()) reflected = specular_at(view_.z);
+        if constexpr (has_coat)
+            if (coat_alpha_.is_smooth()) reflected += coat_at(view_.z);
+        if constexpr (has_transmission)
+            if (glass_probability_ > 0.0f && is_glass_smooth()) {
+                const GlassEvents events = glass_at(view_.z);
+                reflected += glass_ * events.reflectance;
+                refracted = glass_ * events.transmittance;
+            }
+        const Vec3 rough = max(specular_albedo - reflected - refracted, 0.0f);
+        const bool refracts = luminance(refracted) > luminance(reflected);
+        SmoothBounce bounce;
+        bounce.weight = refracts ? refracted : reflected;
+        bounce.elsewhere = rough + (refracts ? reflected : refracted);
+        if (!(luminance(bounce.weight) > luminance(bounce.elsewhere))) return {};
+        bounce.eta = refracts ? glass_eta_ : 0.0f;
+        const Vec3 light = !refracts ? mirrored() : glass_eta_ == 1.0f ? -view_ : refract(view_, {0, 0, 1}, glass_eta_);
+        const float side = refracts ? below_surface : above_surface;
+        bounce.direction = normalize(frame_.to_world(light));
+        if (light.z * side > 0.0f && dot(geometric_normal, bounce.direction) * side > 0.0f)
+            bounce.event = refracts ? BsdfEvent::transmission : BsdfEvent::glossy;
+        return bounce;
     }
 
 private:

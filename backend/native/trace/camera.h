@@ -82,6 +82,10 @@ struct Camera {
         return result;
     }
 
+    // World vectors from the window's plane at an image point to that at the next one to the right, and below.
+    SVGF_HD Vec3 step_x() const { return transform_vector(to_world, {(right - left) / float(width), 0.0f, 0.0f}); }
+    SVGF_HD Vec3 step_y() const { return transform_vector(to_world, {0.0f, (bottom - top) / float(height), 0.0f}); }
+
     // World vector to camera space.
     SVGF_HD Vec3 to_camera(Vec3 v) const { return transform_normal(to_world, v); }
 

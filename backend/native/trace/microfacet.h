@@ -135,10 +135,10 @@ SVGF_HD inline float ggx_masking(Vec3 direction, Alpha alpha) {
 // Visible microfacet normal by spherical caps [Dupuy23, Listing 1].
 SVGF_HD inline Vec3 sample_visible_normal(Vec3 view, Alpha alpha, Vec2 u) {
     const Vec3 standard = normalize(Vec3{alpha.x * view.x, alpha.y * view.y, view.z});
-    const float angle = 2.0f * pi * u.x;
     const float z = (1.0f - u.y) * (1.0f + standard.z) - standard.z;
     const float sine = std::sqrt(saturate(1.0f - z * z));
-    const Vec3 half = Vec3{sine * std::cos(angle), sine * std::sin(angle), z} + standard;
+    const Vec2 around = point_on_circle(2.0f * u.x) * sine;
+    const Vec3 half = Vec3{around.x, around.y, z} + standard;
     return normalize(Vec3{alpha.x * half.x, alpha.y * half.y, max(half.z, 0.0f)});
 }
 

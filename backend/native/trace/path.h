@@ -15,6 +15,7 @@
 #include "trace/intersect.h"
 #include "trace/light_paths.h"
 #include "trace/lights.h"
+#include "trace/opacity.h"
 #include "trace/surface.h"
 
 namespace svgf {
@@ -39,6 +40,8 @@ struct Path {
     float smallest_pdf = infinity;  // of those so far
     int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
     int transparent_bounces = 0;  // these are not among the bounces
+    int links = 0;                // bounces along the chain of trace/specular_chain.h
+    bool on_chain = true;         // all bounces so far are; without a chain there are none
     bool delta = true;
     bool ends = false;  // the ray only looks for light
     bool measures_distance = false;  // the ray left the seen surface by a specular lobe
@@ -50,6 +53,7 @@ struct ShadowRay {
     Vec3 light;  // all zero: there is none
     Vec3 diffuse_share;
     int bounces = 0;   // between the camera and the light
+    int links = 0;     // of these, along the chain
     int surfaces = 0;  // that it may pass straight at most
 
     SVGF_HD bool exists() const { return max_component(light) > 0.0f; }
@@ -63,19 +67,46 @@ struct PathVertices {
     bool transparent_film;
     bool splits_direct;  // signals: direct and indirect, else diffuse and specular
     bool two_signals;    // else the first one gets all
+    bool follows_chains;          // the G-buffer is of what is seen in mirrors and through glass
+    const Vec3* in_chain_light;   // what it holds of the pixels' light; null: nothing
+
+    // Of a pixel's light what is known before its path starts.
+    SVGF_HD Gathered start(int pixel) const {
+        Gathered light;
+        if (in_chain_light) light.emission = in_chain_light[pixel];
+        return light;
+    }
+
+    // Where the ray of a path ends.
+    SVGF_HD Hit find_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces) const {
+        return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+    }
+
+    // Whether of the ray of a path that ends, where scene.last_hits_are_dark, it matters where it hits.
+    SVGF_HD bool needs_distance(const Ray& ray, bool measures_distance) const {
+        return measures_distance || crosses_finite_lamp(ray);
+    }
+
+    // Surfaces that a path may still pass. One may always be passed.
+    SVGF_HD int allowed(int transparent_bounces) const {
+        return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow) const {
         Ray& ray = path.ray;
-        if (scene.lights.sized_lamps_seen_by & ray.kind) add_lamps(path, hit, light);
+        const bool is_known = in_chain_light && path.on_chain && path.links > 0;
+        path.transparent_bounces += hit.passed;
+        if (!is_known && (scene.lights.sized_lamps_seen_by & ray.kind)) add_lamps(path, hit, light);
         if (!hit.found()) {
             if (path.measures_distance) light.hit_distance = background_depth;
-            add_world(path, light);
+            if (!is_known) add_world(path, light);
             return false;
         }
-        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex));
-        if (max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
+        if (path.ends && scene.last_hits_are_dark && !path.measures_distance) return false;
+        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
+        if (!is_known && max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
             if (path.transparent_bounces >= max(limits.transparent_bounces, 1)) return false;
@@ -105,10 +136,7 @@ struct PathVertices {
 
         BsdfSample next = bsdf.sample(sampler.pair(SamplePair::direction, vertex), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
-        if (path.bounces == 0) {
-            path.diffuse_share = share_of(next.weight);
-            path.measures_distance = next.event != BsdfEvent::diffuse && max_component(next.weight.specular) > 0.0f;
-        }
+        if (path.on_chain) leave_or_follow_chain(path, bsdf, next);
         path.throughput *= next.weight.total();
         if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return false;
         count_bounce(path, next);
@@ -119,19 +147,35 @@ struct PathVertices {
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
-        Vec3 arriving = shadow.light;
-        if constexpr (has_alpha) {
-            arriving *= transmittance(sampler, vertex, shadow);
-            if (!(max_component(arriving) > 0.0f)) return;
-        } else if (is_occluded(scene, shadow.ray)) {
-            return;
-        }
-        add(light, arriving, shadow.diffuse_share, shadow.bounces);
+        add_share(shadow, find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces), light);
+    }
+
+    // The same, for the share of it that arrives.
+    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
+        if (max_component(share) > 0.0f)
+            add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
     static constexpr bool has_alpha = covers(kernel, Effects::alpha);
+
+    // At a surface of the chain. The first one that does not go on with it is what the pixel sees.
+    SVGF_HD void leave_or_follow_chain(Path& path, const Bsdf<kernel>& bsdf, const BsdfSample& next) const {
+        BsdfEvent chain_event = BsdfEvent::none;
+        if constexpr (covers(kernel, Effects::specular))
+            if (follows_chains) chain_event = bsdf.find_smooth_bounce().event;
+        const bool goes_on =
+            may_follow(limits, chain_event, path.links, path.glossy_bounces, path.transmission_bounces);
+        path.on_chain = goes_on && next.delta && next.event == chain_event;
+        if (path.on_chain) {
+            ++path.links;
+            return;
+        }
+        path.diffuse_share = share_of(next.weight);
+        path.measures_distance =
+            !goes_on && next.event != BsdfEvent::diffuse && max_component(next.weight.specular) > 0.0f;
+    }
 
     // A limit is reached by one bounce more: the ray after it still finds the light that it runs into, as in Cycles.
     SVGF_HD void count_bounce(Path& path, const BsdfSample& next) const {
@@ -183,14 +227,12 @@ private:
         return {1, 1, 1};
     }
 
-    // bounces: between the camera and the light. A value that is not finite is dropped.
-    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces) const {
+    // bounces: between the camera and the light; links: those that lead to the seen surface. A value that is not finite
+    // is dropped.
+    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces, int links) const {
         if (!is_finite(value)) return;
-        if constexpr (has_limits) {
-            const float limit = 3.0f * (bounces > 1 ? limits.clamp_indirect : limits.clamp_direct);
-            const float sum = value.x + value.y + value.z;
-            if (limit > 0.0f && sum > limit) value *= limit / sum;
-        }
+        if constexpr (has_limits) value = limits.clamped(value, bounces);
+        bounces -= links;
         if (bounces == 0) {
             light.emission += value;
         } else if (splits_direct) {
@@ -208,7 +250,7 @@ private:
     template <class LightPdf>
     SVGF_HD void add_found(Gathered& light, const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
         const float weight = path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf());
-        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces);
+        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces, path.links);
     }
 
     // Lamps stop no ray: all that are crossed before the hit shine.
@@ -226,6 +268,19 @@ private:
         }
     }
 
+    SVGF_HD bool crosses_finite_lamp(const Ray& ray) const {
+        if (!(scene.lights.sized_lamps_seen_by & ray.kind)) return false;
+        Vec3 radiance;
+        float pdf;
+        for (int i = 0; i < scene.lights.lamp_count; ++i) {
+            const Light& lamp = scene.lights.rows[i];
+            if ((lamp.visibility & ray.kind) && cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, largest_float,
+                                                           radiance, pdf))
+                return true;
+        }
+        return false;
+    }
+
     SVGF_HD void add_world(const Path& path, Gathered& light) const {
         if (transparent_film && path.bounces == 0) {
             light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
@@ -239,7 +294,7 @@ private:
                                : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
             });
         } else {
-            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces);
+            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces, path.links);
         }
     }
 
@@ -275,25 +330,10 @@ private:
             shadow.ray.t_max = shadow_ray_end;
         }
         shadow.light = arriving;
-        shadow.diffuse_share = path.bounces == 0 ? share_of(value) : path.diffuse_share;
+        shadow.diffuse_share = path.on_chain ? share_of(value) : path.diffuse_share;
         shadow.bounces = path.bounces + 1;
+        shadow.links = path.links;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
-    }
-
-    // What is left of light that goes straight on to the end of a shadow ray.
-    SVGF_HD Vec3 transmittance(const Sampler& sampler, int vertex, const ShadowRay& shadow) const {
-        Ray ray = shadow.ray;
-        const Vec3 view = -normalize(ray.direction);
-        Vec3 left{1, 1, 1};
-        for (int i = 0; i <= shadow.surfaces; ++i) {
-            const Hit hit = find_closest_hit(scene, ray);
-            if (!hit.found()) return left;
-            if (i == shadow.surfaces) break;
-            left *= find_transmittance<kernel>(scene, hit, view, shadow_choice<kernel>(sampler, vertex, i));
-            if (!(max_component(left) > 0.0f)) break;
-            ray.t_min = hit.t;
-        }
-        return {};
     }
 };
 
@@ -333,13 +373,21 @@ struct PathStage {
     RadianceImages out;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light;
+        Gathered light = vertices.start(pixel);
         for (int vertex = 0;; ++vertex) {
-            const Hit hit = vertex == 0 && in_hit ? in_hit[pixel] : find_closest_hit(vertices.scene, path.ray);
+            Hit hit;
+            if (vertex == 0 && in_hit)
+                hit = in_hit[pixel];
+            else if (path.ends && vertices.scene.last_hits_are_dark &&
+                     !vertices.needs_distance(path.ray, path.measures_distance))
+                hit = find_any_path_hit<kernel>(vertices.scene, path.ray, sampler, vertex,
+                                                vertices.allowed(path.transparent_bounces));
+            else
+                hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
             if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);

@@ -47,10 +47,14 @@ SVGF_HD inline Vec2 interpolate_uv(const MeshView& mesh, std::int32_t layer, con
            (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
 }
 
+SVGF_HD inline float channel_of(Vec4 texel, std::int32_t channel) {
+    return channel <= 0 ? texel.x : channel == 1 ? texel.y : channel == 2 ? texel.z : texel.w;
+}
+
 // Gives an input of a material the value of a texel. Shares stay shares, whatever an image holds: a surface reflects no
 // more than it gets.
 SVGF_HD inline void set_input(Material& material, MaterialInput input, Vec4 texel, std::int32_t channel) {
-    const float value = channel <= 0 ? texel.x : channel == 1 ? texel.y : channel == 2 ? texel.z : texel.w;
+    const float value = channel_of(texel, channel);
     const float share = saturate(value);
     const Vec3 color = min(texel.xyz(), Vec3{1, 1, 1});
     switch (input) {
@@ -79,15 +83,23 @@ SVGF_HD inline void set_input(Material& material, MaterialInput input, Vec4 texe
     }
 }
 
-// The one place where materials read images.
+SVGF_HD inline Vec2 map_uv(const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
+    const Vec2 uv = interpolate_uv(mesh, map.uv_layer, hit);
+    const float* m = map.uv_transform;
+    return {m[0] * uv.x + m[1] * uv.y + m[2], m[3] * uv.x + m[4] * uv.y + m[5]};
+}
+
+// RGBA, linear.
+SVGF_HD inline Vec4 sample_map(const SceneView& scene, const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
+    return sample_texture(load(scene.textures + map.texture), map_uv(mesh, map, hit));
+}
+
 SVGF_HD inline void apply_maps(const SceneView& scene, const MeshView& mesh, const Hit& hit, Material& material) {
+    Vec4 texel;
     SVGF_NO_UNROLL
     for (std::int32_t i = 0; i < material.map_count; ++i) {
-        const MaterialMap& map = scene.material_maps[material.map_start + i];
-        const Vec2 uv = interpolate_uv(mesh, map.uv_layer, hit);
-        const float* m = map.uv_transform;
-        const Vec4 texel = sample_texture(scene.textures[map.texture], {m[0] * uv.x + m[1] * uv.y + m[2],
-                                                                        m[3] * uv.x + m[4] * uv.y + m[5]});
+        const MaterialMap map = load(scene.material_maps + material.map_start + i);
+        if (map.same_texel == 0) texel = sample_map(scene, mesh, map, hit);
         set_input(material, map.input, texel, map.channel);
     }
 }
@@ -209,7 +221,7 @@ SVGF_HD inline Opacity find_opacity(const Material& material) {
 // view: unit, towards where the ray came from. choice: uniform in [0, 1), of the part of a mix and of passing straight.
 template <Effects kernel>
 SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, float choice) {
-    const Instance& instance = scene.instances[hit.instance];
+    const Instance& instance = load(scene.instances + hit.instance);
     const Mat34& to_world = scene.placements[hit.instance].object_to_world;
     const MeshView& mesh = scene.meshes[instance.mesh];
     const LeafTriangle triangle = load(mesh.triangles + hit.leaf_triangle);
@@ -227,7 +239,7 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
     surface.shading_normal = surface.geometric_normal;
     Vec3 object_normal = face_normal;
     if (mesh.normals) {
-        const Vec3 normal = interpolate(mesh.normals[hit.leaf_triangle].corner, hit);
+        const Vec3 normal = interpolate(load(mesh.normals + hit.leaf_triangle).corner, hit);
         // Shorter ones are corners that have none, or that cancel.
         if (max_component(abs(normal)) > 1e-6f) {
             object_normal = normal;

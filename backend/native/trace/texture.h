@@ -3,13 +3,14 @@
 // where they are stored times it, and decoded where they are sRGB.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/vec.h"
 #include "scene/flat_scene.h"
 
 namespace svgf {
 
 SVGF_HD inline float srgb_to_linear(float c) {  // IEC 61966-2-1
-    return c <= 0.04045f ? c / 12.92f : std::pow((c + 0.055f) / 1.055f, 2.4f);
+    return c <= 0.04045f ? c / 12.92f : fast_exp2(2.4f * fast_log2((c + 0.055f) / 1.055f));
 }
 
 // Texel index within [0, size) for one near to it, or -1 for one that the image does not cover.
@@ -32,10 +33,8 @@ SVGF_HD inline float reduce_coordinate(float u, Extension extension) {
     return clamp(u, -2.0f, 3.0f);
 }
 
-// RGBA as stored; 0 where the image does not cover it.
+// RGBA as stored, at what wrap_texel returned; 0 where the image does not cover it.
 SVGF_HD inline Vec4 load_texel(const TextureView& texture, int x, int y) {
-    x = wrap_texel(x, texture.width, texture.extension);
-    y = wrap_texel(y, texture.height, texture.extension);
     if (x < 0 || y < 0) return {};
     const int i = y * texture.width + x;
     if (!texture.bytes) return texture.floats[i];
@@ -69,11 +68,13 @@ SVGF_HD inline Vec4 sample_texture(const TextureView& texture, Vec2 uv) {
         const int i = is_cubic ? 2 * (quad & 1) - 1 : 0, j = is_cubic ? 2 * (quad >> 1) - 1 : 0;
         const float west = texel_weight(texture.interpolation, x_share, i);
         const float east = texel_weight(texture.interpolation, x_share, i + 1);
+        const int west_column = wrap_texel(int(left) + i, texture.width, texture.extension);
+        const int east_column = wrap_texel(int(left) + i + 1, texture.width, texture.extension);
         for (int row = 0; row < 2; ++row) {
-            const int column = int(left) + i, line = int(below) + j + row;
+            const int line = wrap_texel(int(below) + j + row, texture.height, texture.extension);
             const float weight = texel_weight(texture.interpolation, y_share, j + row);
-            sum += load_texel(texture, column, line) * (west * weight);
-            sum += load_texel(texture, column + 1, line) * (east * weight);
+            sum += load_texel(texture, west_column, line) * (west * weight);
+            sum += load_texel(texture, east_column, line) * (east * weight);
         }
     }
     if (texture.associated_alpha && sum.w > 0.0f) {

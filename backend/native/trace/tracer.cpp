@@ -3,13 +3,15 @@
 
 #include <algorithm>
 #include <cstring>
+#include <tuple>
 #include <utility>
 
 #include "device/threads.h"
-#include "scene/bvh.h"
+#include "scene/top_level.h"
 #include "trace/cast.h"
 #include "trace/gbuffer.h"
 #include "trace/path.h"
+#include "trace/specular_chain.h"
 #include "trace/wavefront.h"
 
 namespace svgf {
@@ -23,8 +25,10 @@ constexpr Effects rare_effects =
 // from the cheapest to the one that covers everything. `svgf bench effects` shows what each saves; other effects cost
 // nothing where a scene lacks them, as a branch that all threads skip.
 constexpr Effects kernel_effects[] = {
-    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::normal_maps),
+    without(Effects::all, rare_effects | Effects::transmission | Effects::specular | Effects::perfect_specular |
+                              Effects::normal_maps),
     without(Effects::all, rare_effects | Effects::transmission),
+    without(Effects::all, without(rare_effects, Effects::alpha) | Effects::transmission),
     without(Effects::all, rare_effects),
     Effects::all,
 };
@@ -58,14 +62,6 @@ Mat34 matrix_at(std::span<const float> values, std::size_t i) {
     return matrix;
 }
 
-Mat34 absolute(const Mat34& m) {
-    Mat34 result;
-    for (int row = 0; row < 3; ++row)
-        result.row[row] = {std::fabs(m.row[row].x), std::fabs(m.row[row].y), std::fabs(m.row[row].z),
-                           std::fabs(m.row[row].w)};
-    return result;
-}
-
 // The transforms of a mesh whose vertices are relative to `centre`; in double, because the terms may cancel.
 Mat34 with_centre(const Mat34& object_to_world, Vec3 centre) {
     Mat34 result = object_to_world;
@@ -81,21 +77,6 @@ Mat34 inverse_of(const Mat34& object_to_world, const Mat34& world_to_object) {
     Mat34 result = world_to_object;
     for (Vec4& row : result.row) row.w = float(-(double(row.x) * t.x + double(row.y) * t.y + double(row.z) * t.z));
     return result;
-}
-
-// Box of an instance in the world, with room for the roundings of both matrices: a ray finds the mesh where its
-// world_to_object puts it. Empty if anything is not finite.
-Bounds instance_bounds(const Bounds& mesh, const Mat34& object_to_world, const Mat34& world_to_object) {
-    constexpr float rounding = 8.0f / 16777216.0f;
-    if (mesh.is_empty()) return {};
-    const Mat34 to_world = absolute(object_to_world), to_object = absolute(world_to_object);
-    const Vec3 centre = transform_point(object_to_world, (mesh.low + mesh.high) * 0.5f);
-    const Vec3 half = transform_vector(to_world, (mesh.high - mesh.low) * 0.5f);
-    const Vec3 world_size = transform_point(to_world, max(abs(mesh.low), abs(mesh.high)));
-    const Vec3 object_size = transform_point(to_object, world_size);
-    const Vec3 margin = (world_size + transform_vector(to_world, object_size)) * rounding;
-    const Bounds box{centre - half - margin, centre + half + margin};
-    return is_finite(box.low) && is_finite(box.high) ? box : Bounds{};
 }
 
 Vec3 cleaned_color(Vec3 c) {
@@ -114,6 +95,7 @@ Material material_from(const float* row) {
     material.map_start = std::int32_t(row[40]);
     material.map_count = std::int32_t(row[41]);
     material.tangent_uv_layer = std::int32_t(row[42]);
+    material.alpha_map = -1;
     return material;
 }
 
@@ -144,6 +126,18 @@ Material cleaned_material(Material material) {
     material.emission = cleaned_color(material.emission);
     material.light_emission = cleaned_color(material.light_emission);
     return material;
+}
+
+// Sorts the maps of a material so that those which read the same texel follow each other, and are marked.
+void put_same_texels_together(std::span<MaterialMap> maps) {
+    const auto place = [](const MaterialMap& map) {
+        const float* m = map.uv_transform;
+        return std::tuple(map.texture, map.uv_layer, m[0], m[1], m[2], m[3], m[4], m[5]);
+    };
+    std::stable_sort(maps.begin(), maps.end(),
+                     [&](const MaterialMap& a, const MaterialMap& b) { return place(a) < place(b); });
+    for (std::size_t i = 0; i < maps.size(); ++i)
+        maps[i].same_texel = i > 0 && place(maps[i]) == place(maps[i - 1]) ? 1 : 0;
 }
 
 // That what a material names is there, and that mixes end.
@@ -195,7 +189,6 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
 
     std::vector<Instance> instances(count);
     std::vector<Placement> placements(count);
-    std::vector<Bounds> boxes(count);
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
             expect(arrays.mesh[i] >= 0 && std::size_t(arrays.mesh[i]) < meshes.size(),
@@ -210,7 +203,6 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
             instances[i] = {inverse_of(placements[i].object_to_world, matrix_at(arrays.world_to_object, i)),
                             arrays.mesh[i], arrays.object_id[i], arrays.material_start[i], arrays.visibility[i],
                             std::uint32_t(arrays.emitter[i] + 1)};
-            boxes[i] = instance_bounds(mesh.bounds(), placements[i].object_to_world, instances[i].world_to_object);
         }
     });
     largest_material_ = -1;
@@ -225,20 +217,27 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
         largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
-    const Bvh bvh = build_bvh(boxes, 1);
+    const TopLevel top = build_top_level(meshes, instances, placements);
     std::vector<MeshView> views;
     for (const auto& mesh : meshes) views.push_back(mesh->view());
-    const std::vector<std::int32_t> order(bvh.primitives.begin(), bvh.primitives.end());
-    meshes_ = std::move(meshes);
-    nodes_ = Buffer<WideNode>(device_, std::span<const WideNode>(bvh.nodes), "the scene's tree");
-    instance_order_ = Buffer<std::int32_t>(device_, std::span<const std::int32_t>(order), "the scene's tree");
+    const auto keep = [this]<class Rows>(Rows& kept, const auto& rows) {
+        if (std::equal(kept.begin(), kept.end(), rows.begin(), rows.end())) return;
+        kept = Rows(rows.begin(), rows.end());
+        knows_opacity_ = false;
+    };
+    keep(meshes_, meshes);
+    keep(instance_mesh_, arrays.mesh);
+    keep(material_start_, arrays.material_start);
+    keep(material_table_rows_, arrays.material_table);
+    nodes_ = Buffer<WideNode>(device_, std::span<const WideNode>(top.nodes), "the scene's tree");
+    top_leaves_ = Buffer<TopLeaf>(device_, std::span<const TopLeaf>(top.leaves), "the scene's tree");
     instances_ = Buffer<Instance>(device_, std::span<const Instance>(instances), "instances");
     placements_ = Buffer<Placement>(device_, std::span<const Placement>(placements), "instances");
     mesh_views_ = Buffer<MeshView>(device_, std::span<const MeshView>(views), "meshes");
     material_table_ = Buffer<std::int32_t>(device_, arrays.material_table, "the material table");
     scene_.nodes = nodes_.data();
-    scene_.has_one_instance = order.size() == 1;
-    scene_.instance_order = instance_order_.data();
+    scene_.has_one_leaf = top.leaves.size() == 1;
+    scene_.top_leaves = top_leaves_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
     scene_.meshes = mesh_views_.data();
@@ -258,6 +257,12 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
                "A material names a texture that is not there.");
     }
     check_materials(rows, maps.size());
+    for (Material& material : rows) {
+        const auto own_maps = std::span(maps).subspan(std::size_t(material.map_start), std::size_t(material.map_count));
+        put_same_texels_together(own_maps);
+        for (std::size_t i = 0; i < own_maps.size(); ++i)
+            if (own_maps[i].input == MaterialInput::alpha) material.alpha_map = material.map_start + std::int32_t(i);
+    }
     std::vector<TextureView> views;
     for (const auto& texture : textures) views.push_back(texture->view());
     textures_ = std::move(textures);
@@ -267,6 +272,9 @@ void Tracer::set_materials(std::span<const float> materials, std::span<const flo
     scene_.materials = materials_.data();
     scene_.material_maps = material_maps_.data();
     scene_.textures = texture_views_.data();
+    material_rows_ = std::move(rows);
+    material_map_rows_ = std::move(maps);
+    knows_opacity_ = false;
 }
 
 void Tracer::set_albedo_tables(std::span<const float> tables) {
@@ -384,6 +392,18 @@ void Tracer::set_camera(const Cameras& arrays) {
 
 std::span<const Effects> Tracer::kernels() { return kernel_effects; }
 
+void Tracer::find_opacity() {
+    opacity_.find(device_, {meshes_, instance_mesh_, material_start_, material_table_rows_, material_rows_,
+                            material_map_rows_, textures_}, scene_);
+    scene_.opacity = opacity_.view();
+    const auto shines = [](const Material& material) {
+        return max(max_component(material.emission), max_component(material.light_emission)) > 0.0f;
+    };
+    scene_.last_hits_are_dark =
+        !opacity_.has_shaded() && std::none_of(material_rows_.begin(), material_rows_.end(), shines);
+    knows_opacity_ = true;
+}
+
 std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(frame.width >= 1 && frame.height >= 1 && std::int64_t(frame.width) * frame.height < (std::int64_t(1) << 30),
            "An image must have at least one pixel, and at most 2^30.");
@@ -396,6 +416,7 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");
     expect(scene_.albedo_tables, "There are no tables of albedos yet.");
+    if (!knows_opacity_) find_opacity();
     return with_kernel(Effects(frame.effects) | Effects(frame.kernel),
                        [&]<Effects kernel>() { return trace_with<kernel>(frame); });
 }
@@ -423,10 +444,14 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     const Effects effects{frame.effects};
     const bool has_specular = covers(effects, Effects::specular);
     const bool two_signals = splits_direct || has_specular;
+    const bool has_chains = covers(effects, Effects::specular | Effects::perfect_specular);
     const bool has_motion =
         (effects & (Effects::camera_motion | Effects::object_motion | Effects::deformation)) != Effects::none;
 
     Buffer<Hit> hits(device_, pixels, "primary hits");
+    device_.launch("gbuffer hits", frame.width, frame.height,
+                   PrimaryHitStage<kernel>{scene_, camera_, frame.sample, frame.seed, box_filter,
+                                           frame.light_paths.transparent_bounces, hits.data()});
     GbufferStage<kernel> gbuffer{
         .scene = scene_,
         .camera = camera_,
@@ -435,8 +460,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .seed = frame.seed,
         .box_filter = box_filter,
         .camera_moves = covers(effects, Effects::camera_motion),
-        .transparent_bounces = frame.light_paths.transparent_bounces,
-        .out_hit = hits.data(),
+        .limits = frame.light_paths,
+        .in_hit = hits.data(),
         .out_normal = vectors("normal"),
         .out_depth = floats("depth", 1),
         .out_depth_gradient = reinterpret_cast<Vec2*>(floats("depth_gradient", 2)),
@@ -447,13 +472,34 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_specular_albedo = has_specular ? vectors("specular_albedo") : nullptr,
         .out_motion = has_motion ? vectors("motion") : nullptr,
     };
+    Buffer<std::int32_t> smooth_pixels, smooth_count;
+    Buffer<Vec3> chain_light;
+    if (has_chains) {
+        smooth_pixels = Buffer<std::int32_t>(device_, pixels, "pixels of mirrors");
+        smooth_count = Buffer<std::int32_t>(device_, 1, "pixels of mirrors");
+        smooth_count.clear();
+        chain_light = Buffer<Vec3>(device_, pixels, "light in mirrors");
+        gbuffer.out_smooth_pixels = smooth_pixels.data();
+        gbuffer.out_smooth_count = smooth_count.data();
+        gbuffer.out_chain_light = chain_light.data();
+        gbuffer.out_first_normal = vectors("first_normal");
+        gbuffer.out_first_depth = floats("first_depth", 1);
+        gbuffer.out_first_object_id = integers("first_object_id");
+        gbuffer.out_first_motion = has_motion ? vectors("first_motion") : nullptr;
+    }
     device_.launch("gbuffer", frame.width, frame.height, gbuffer);
+    if constexpr (covers(kernel, Effects::specular))
+        if (has_chains)
+            device_.launch_queue("gbuffer chains", int(pixels), smooth_count.data(),
+                                 SpecularChainStage<kernel>{gbuffer, smooth_pixels.data()});
 
-    const PathVertices<kernel> vertices{.scene = scene_,
-                                        .limits = frame.light_paths,
-                                        .transparent_film = frame.transparent_film,
-                                        .splits_direct = splits_direct,
-                                        .two_signals = two_signals};
+    PathVertices<kernel> vertices{.scene = scene_,
+                                  .limits = frame.light_paths,
+                                  .transparent_film = frame.transparent_film,
+                                  .splits_direct = splits_direct,
+                                  .two_signals = two_signals,
+                                  .follows_chains = has_chains,
+                                  .in_chain_light = chain_light.data()};
     RadianceImages radiance{
         .first_of_frame = true,
         .weight = 1.0f / float(frame.samples),
@@ -464,7 +510,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_hit_distance = has_specular ? floats("hit_distance", 1) : nullptr,
     };
     // With a lens each sample has a ray of its own even through the middle of the pixel.
-    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f;
+    // So has each where chance decides what it passes.
+    const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f && !covers(kernel, Effects::alpha);
     if constexpr (Device::follows_paths_together) {
         trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
     } else {
@@ -479,6 +526,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
             device_.launch("path", frame.width, frame.height, path);
             ++path.sample;
             path.out.first_of_frame = false;
+            path.vertices.in_chain_light = nullptr;  // of the first sample
             if (!same_rays) path.in_hit = nullptr;
         }
     }
@@ -486,20 +534,21 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
 }
 
 template <Effects kernel>
-void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
                              const Hit* first_hits, RadianceImages out) {
     const int width = frame.width, height = frame.height, pixels = width * height;
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
-    // The last ray of a path only looks for light; what lets it straight through is a vertex, too.
-    const bool has_alpha = covers(Effects(frame.effects), Effects::alpha);
-    const int vertex_count = frame.light_paths.bounces + 2 + (has_alpha ? frame.light_paths.transparent_bounces + 1 : 0);
+    // The last ray of a path only looks for light. A surface that lets it straight through may be a vertex, too.
+    const int vertex_count = frame.light_paths.bounces + 2 +
+                             (opacity_.has_shaded() ? frame.light_paths.transparent_bounces + 1 : 0);
     Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
     Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
     Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
     Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
-    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
+    // The queues of a vertex and the next one, and of shadow rays; for all vertices their lengths, and how many of them
+    // are taken.
     Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
-    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
+    Buffer<std::int32_t> counts(device_, 4 * std::size_t(vertex_count) + 2, "queues");
     const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
     const auto path_queue = [&](int vertex) {
         return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
@@ -507,30 +556,37 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
     const auto shadow_queue = [&](int vertex) {
         return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
     };
+    const int fewest = std::getenv("SVGF_X2") ? std::atoi(std::getenv("SVGF_X2")) : 16;
+    const auto rays_of = [&](const PixelQueue& queue) {
+        return RayQueue{queue.pixels, queue.count, queue.count + 2 * vertex_count + 1, fewest};
+    };
     std::uint32_t sample = frame.sample;
     for (int i = 0; i < frame.samples; ++i, ++sample) {
         counts.clear();
         if (i > 0 && !same_rays) {
             device_.launch("path extend", width, height,
-                           FirstExtendStage<kernel>{scene_, camera_, sample, frame.seed, box_filter, hits.data()});
+                           PrimaryHitStage<kernel>{scene_, camera_, sample, frame.seed, box_filter,
+                                               frame.light_paths.transparent_bounces, hits.data()});
             first_hits = hits.data();
         }
         device_.launch("path shade", width, height,
                        FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
                                                path_queue(1), shadow_queue(0)});
-        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
-                             ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, 0,
-                                                 shadow_queue(0).pixels});
+        device_.launch_workers("path shadow", ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0,
+                                                                  rays_of(shadow_queue(0))});
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
             const PixelQueue queue = path_queue(vertex);
-            device_.launch_queue("path extend", pixels, queue.count, ExtendStage{scene_, memory, queue.pixels});
+            const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, rays_of(queue)};
+            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark)
+                device_.launch_workers("path extend", LastExtendStage<kernel>{extend});
+            else
+                device_.launch_workers("path extend", extend);
             device_.launch_queue("path shade", pixels, queue.count,
-                                 ShadeStage<kernel>{vertices, memory, width, sample, frame.seed, vertex, queue.pixels,
+                                 ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
                                                     path_queue(vertex + 1), shadow_queue(vertex)});
             if (vertex + 1 < vertex_count)
-                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
-                                     ShadowStage<kernel>{vertices, memory, width, sample, frame.seed, vertex,
-                                                         shadow_queue(vertex).pixels});
+                device_.launch_workers("path shadow", ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
+                                                                          rays_of(shadow_queue(vertex))});
             // Many vertices are rarely used up, and a launch for nothing costs time, too.
             if (vertex % 16 == 0) {
                 std::int32_t left;
@@ -540,6 +596,7 @@ void Tracer::trace_wavefront(const Frame& frame, const PathVertices<kernel>& ver
         }
         device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
         out.first_of_frame = false;
+        vertices.in_chain_light = nullptr;  // of the first sample
     }
 }
 

@@ -17,6 +17,7 @@
 #include "scene/texture.h"
 #include "trace/camera.h"
 #include "trace/light_paths.h"
+#include "trace/opacity_table.h"
 
 namespace svgf {
 
@@ -116,9 +117,11 @@ public:
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
     // "direct" and "indirect". "hit_distance", of the first sample: in metres from the seen surface to what its specular
-    // lobes' ray hit next, background_depth for the world, 0 where the path took no such ray. Left out: "specular",
-    // "specular_albedo" and "hit_distance" where the effects lack specular, "motion" where nothing moves. With a
-    // transparent film, "alpha" too.
+    // lobes' ray hit next, background_depth for the world, 0 where the path took no such ray. With perfect_specular
+    // among the effects, all but "material_id" are of what is seen in mirrors and through clear glass
+    // (trace/specular_chain.h), and "first_normal" 3, "first_depth", "first_object_id" (int) and "first_motion" 3 of
+    // what the camera's ray hits. Left out: "specular", "specular_albedo" and "hit_distance" where the effects lack
+    // specular, "motion" and "first_motion" where nothing moves. With a transparent film, "alpha" too.
     std::vector<Image> trace(const Frame& frame);
 
     // What each kernel simulates, from the cheapest on: the first one that covers a frame's effects runs.
@@ -133,14 +136,16 @@ private:
     template <Effects kernel>
     std::vector<Image> trace_with(const Frame& frame);
     template <Effects kernel>
-    void trace_wavefront(const Frame& frame, const PathVertices<kernel>& vertices, bool same_rays,
+    void trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
                          const Hit* first_hits, RadianceImages out);
+
+    void find_opacity();
 
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;
     std::vector<std::shared_ptr<Texture>> textures_;
     Buffer<WideNode> nodes_;
-    Buffer<std::int32_t> instance_order_;
+    Buffer<TopLeaf> top_leaves_;
     Buffer<Instance> instances_;
     Buffer<Placement> placements_;
     Buffer<MeshView> mesh_views_;
@@ -157,6 +162,12 @@ private:
     Buffer<std::int32_t> light_of_triangle_;
     Buffer<EmissionMap> emission_maps_;
     Buffer<float> row_cdf_, column_cdf_;
+    // What the opacity of triangles depends on.
+    std::vector<std::int32_t> instance_mesh_, material_start_, material_table_rows_;
+    std::vector<Material> material_rows_;
+    std::vector<MaterialMap> material_map_rows_;
+    OpacityTable opacity_;
+    bool knows_opacity_ = false;
     int largest_material_ = -1;  // that the table names
     int largest_emitter_ = -1;   // that an instance names
     int largest_texture_ = -1;   // that lights and the world name

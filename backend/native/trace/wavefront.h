@@ -16,12 +16,6 @@
 
 namespace svgf {
 
-// Blocks of 128 threads that a multiprocessor should hold of a kernel that shades: the more it simulates, the more
-// registers it needs. Of the kernels with specular lobes and with transmission one block more costs 10 % of the launch
-// (H200, atrium and cornell).
-template <Effects kernel>
-constexpr int shade_blocks = covers(kernel, Effects::transmission) ? 3 : covers(kernel, Effects::specular) ? 4 : 6;
-
 // Records as they lie in memory: whole reads of 16 bytes.
 struct alignas(16) PathRecord {
     Vec3 origin;
@@ -36,8 +30,8 @@ struct alignas(16) PathRecord {
     std::uint32_t bounces;          // and above bit 16 transparent_bounces
     std::uint32_t diffuse_bounces;  // and above bit 16 glossy_bounces
     std::uint32_t transmission_bounces;
-    std::uint32_t kind_and_flags;  // bit 29: measures_distance, bit 30: delta, bit 31: ends
-    std::uint32_t unused;
+    std::uint32_t kind_and_flags;  // bit 28: on_chain, 29: measures_distance, 30: delta, 31: ends
+    std::int32_t links;
 
     PathRecord() = default;
     SVGF_HD explicit PathRecord(const Path& path)
@@ -47,11 +41,13 @@ struct alignas(16) PathRecord {
           bounces(std::uint32_t(path.bounces) | std::uint32_t(path.transparent_bounces) << 16),
           diffuse_bounces(std::uint32_t(path.diffuse_bounces) | std::uint32_t(path.glossy_bounces) << 16),
           transmission_bounces(std::uint32_t(path.transmission_bounces)),
-          kind_and_flags(path.ray.kind | (path.measures_distance ? 1u << 29 : 0u) | (path.delta ? 1u << 30 : 0u) |
-                         (path.ends ? 1u << 31 : 0u)),
-          unused(0) {}
+          kind_and_flags(path.ray.kind | (path.on_chain ? 1u << 28 : 0u) | (path.measures_distance ? 1u << 29 : 0u) |
+                         (path.delta ? 1u << 30 : 0u) | (path.ends ? 1u << 31 : 0u)),
+          links(path.links) {}
 
     SVGF_HD Ray ray() const { return {origin, direction, t_min, t_max, kind_and_flags & 0xffu}; }
+    SVGF_HD int transparent_bounces() const { return int(bounces >> 16); }
+    SVGF_HD bool measures_distance() const { return (kind_and_flags >> 29 & 1u) != 0; }
     SVGF_HD Path path() const {
         Path path;
         path.ray = ray();
@@ -61,11 +57,13 @@ struct alignas(16) PathRecord {
         path.pdf = pdf;
         path.smallest_pdf = smallest_pdf;
         path.bounces = int(bounces & 0xffffu);
-        path.transparent_bounces = int(bounces >> 16);
+        path.transparent_bounces = transparent_bounces();
         path.diffuse_bounces = int(diffuse_bounces & 0xffffu);
         path.glossy_bounces = int(diffuse_bounces >> 16);
         path.transmission_bounces = int(transmission_bounces);
-        path.measures_distance = (kind_and_flags >> 29 & 1u) != 0;
+        path.links = links;
+        path.on_chain = (kind_and_flags >> 28 & 1u) != 0;
+        path.measures_distance = measures_distance();
         path.delta = (kind_and_flags >> 30 & 1u) != 0;
         path.ends = kind_and_flags >> 31 != 0;
         return path;
@@ -79,10 +77,10 @@ struct alignas(16) ShadowRecord {
     Vec3 light;
     std::int32_t surfaces;
     Vec3 diffuse_share;
-    float unused;
+    std::int32_t links;
 
     SVGF_HD ShadowRay shadow() const {
-        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, surfaces};
+        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, links, surfaces};
     }
 };
 struct alignas(16) GatheredRecord {
@@ -118,34 +116,111 @@ struct PathMemory {
     Hit* hits;
 };
 
-struct ExtendStage {
-    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+// Rays that wait to be traced.
+struct RayQueue {
+    const std::int32_t* pixels;
+    const std::int32_t* count;
+    std::int32_t* next;  // the first one that no thread has taken
+    int fewest;
 
-    SceneView scene;
-    PathMemory memory;
-    const std::int32_t* in_pixels;
-
-    SVGF_HD void operator()(int i) const {
-        const int pixel = in_pixels[i];
-        memory.hits[pixel] = find_closest_hit(scene, memory.paths[pixel].ray());
+    // The pixel of one that no other thread gets; -1: there is none.
+    SVGF_HD int take() const {
+        const int i = append(next);
+        return i < *count ? pixels[i] : -1;
     }
 };
 
-// Primary rays where the gbuffer did not trace them.
+// Whether so few threads of the warp still trace that the others had better take new rays.
+SVGF_HD inline bool few_are_busy([[maybe_unused]] int fewest) {
+#if defined(__CUDA_ARCH__)
+    return __popc(__activemask()) < fewest;
+#else
+    return false;
+#endif
+}
+
+// Traces rays of a queue until it is empty. A thread whose ray is done takes another while the rest of its warp goes on
+// [Aila09], as rays that bounce about differ much in length.
+// start(pixel, ray) says whether there is anything to trace; finish(pixel, traversal) takes the result.
+template <bool any_hit, class Passes, class Start, class Finish>
+SVGF_HD void trace_queue(const SceneView& scene, const RayQueue& queue, Passes& passes, const Start& start,
+                         const Finish& finish) {
+    StackMemory memory;
+    Traversal<any_hit> traversal(scene, memory);
+    int pixel = -1;
+    for (;;) {
+        if (pixel < 0) {
+            pixel = queue.take();
+            if (pixel < 0) return;
+            Ray ray;
+            if (!start(pixel, ray)) {
+                pixel = -1;
+                continue;
+            }
+            traversal.start(ray);
+        }
+        bool goes_on;
+        do goes_on = traversal.advance(passes);
+        while (goes_on && !few_are_busy(queue.fewest));
+        if (goes_on) continue;
+        finish(pixel, traversal);
+        pixel = -1;
+    }
+}
+
 template <Effects kernel>
-struct FirstExtendStage {
-    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
+struct ExtendStage {
+    static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
 
-    SceneView scene;
-    Camera camera;
+    PathVertices<kernel> vertices;
+    PathMemory memory;
     std::uint32_t sample, seed;
-    bool box_filter;
-    Hit* out_hit;
+    int vertex;  // at which the rays end
+    RayQueue queue;
 
-    SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
-        out_hit[y * camera.width + x] = find_closest_hit(
-            scene, primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler));
+    SVGF_HD void operator()() const {
+        PassedDistances distances;
+        PathPasses<kernel> passes{vertices.scene, {}, vertex, distances};
+        const auto start = [&](int pixel, Ray& ray) {
+            ray = memory.paths[pixel].ray();
+            passes.sampler = Sampler(pixel, seed, sample);
+            passes.passed = 0;
+            return true;
+        };
+        const auto finish = [&](int pixel, const Traversal<false>& traversal) {
+            const PathRecord& path = memory.paths[pixel];
+            store(memory.hits + pixel, finish_path_hit(path.ray(), vertices.allowed(path.transparent_bounces()),
+                                                       traversal.hit, passes));
+        };
+        trace_queue<false>(vertices.scene, queue, passes, start, finish);
+    }
+};
+
+// The last rays of paths, where scene.last_hits_are_dark.
+template <Effects kernel>
+struct LastExtendStage : ExtendStage<kernel> {
+    SVGF_HD void operator()() const {
+        const PathVertices<kernel>& vertices = this->vertices;
+        const PathMemory& memory = this->memory;
+        PassedDistances distances;
+        PathPasses<kernel> passes{vertices.scene, {}, this->vertex, distances};
+        const auto start = [&](int pixel, Ray& ray) {
+            const PathRecord& path = memory.paths[pixel];
+            ray = path.ray();
+            passes.sampler = Sampler(pixel, this->seed, this->sample);
+            passes.passed = 0;
+            if (!vertices.needs_distance(ray, path.measures_distance())) return true;
+            store(memory.hits + pixel,
+                  find_path_hit_apart<kernel>(vertices.scene, ray, passes.sampler, this->vertex,
+                                              vertices.allowed(path.transparent_bounces())));
+            return false;
+        };
+        const auto finish = [&](int pixel, const Traversal<true>& traversal) {
+            const PathRecord& path = memory.paths[pixel];
+            const bool stops = passes.passed > vertices.allowed(path.transparent_bounces());
+            store(memory.hits + pixel, any_path_hit(path.ray(), traversal.found() || stops));
+        };
+        trace_queue<true>(vertices.scene, this->queue, passes, start, finish);
     }
 };
 
@@ -160,7 +235,7 @@ SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memor
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
     if (shadow.exists())
         store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
-                                       shadow.light, shadow.surfaces, shadow.diffuse_share, 0});
+                                       shadow.light, shadow.surfaces, shadow.diffuse_share, shadow.links});
     out_paths.push_if(goes_on, pixel);
     out_shadows.push_if(shadow.exists(), pixel);
 }
@@ -171,7 +246,6 @@ struct ShadeStage {
 
     PathVertices<kernel> vertices;
     PathMemory memory;
-    int width;
     std::uint32_t sample, seed;
     int vertex;  // not 0
     const std::int32_t* in_pixels;
@@ -179,10 +253,10 @@ struct ShadeStage {
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
-        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
+        const Sampler sampler(pixel, seed, sample);
         Path path = load(memory.paths + pixel).path();
         Gathered light = load(memory.gathered + pixel).gathered();
-        shade(vertices, memory, sampler, vertex, pixel, memory.hits[pixel], path, light, out_paths, out_shadows);
+        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, light, out_paths, out_shadows);
     }
 };
 
@@ -200,32 +274,43 @@ struct FirstShadeStage {
     PixelQueue out_paths, out_shadows;
 
     SVGF_HD void operator()(int x, int y) const {
-        const Sampler sampler(x, y, camera.width, seed, sample);
         const int pixel = y * camera.width + x;
+        const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light;
-        shade(vertices, memory, sampler, 0, pixel, in_hit[pixel], path, light, out_paths, out_shadows);
+        Gathered light = vertices.start(pixel);
+        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out_paths, out_shadows);
     }
 };
 
 template <Effects kernel>
 struct ShadowStage {
-    static constexpr LaunchShape launch_shape{32, 4, trace_blocks};
+    static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
-    int width;
     std::uint32_t sample, seed;
     int vertex;  // from which the rays start
-    const std::int32_t* in_pixels;
+    RayQueue queue;
 
-    SVGF_HD void operator()(int i) const {
-        const int pixel = in_pixels[i];
-        const Sampler sampler(pixel % width, pixel / width, width, seed, sample);
-        Gathered light = load(memory.gathered + pixel).gathered();
-        vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
-        store(memory.gathered + pixel, GatheredRecord(light));
+    SVGF_HD void operator()() const {
+        ShadowPasses<kernel> passes{vertices.scene, {}, vertex, {}, 0};
+        const auto start = [&](int pixel, Ray& ray) {
+            const ShadowRecord shadow = load(memory.shadows + pixel);
+            ray = shadow.shadow().ray;
+            passes.sampler = Sampler(pixel, seed, sample);
+            passes.view = -normalize(ray.direction);
+            passes.allowed = shadow.surfaces;
+            for (double& left : passes.left) left = 1;
+            return true;
+        };
+        const auto finish = [&](int pixel, const Traversal<true>& traversal) {
+            if (traversal.found()) return;
+            Gathered light = load(memory.gathered + pixel).gathered();
+            vertices.add_share(load(memory.shadows + pixel).shadow(), passes.share(), light);
+            store(memory.gathered + pixel, GatheredRecord(light));
+        };
+        trace_queue<true>(vertices.scene, queue, passes, start, finish);
     }
 };
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from .options import DeviceOption, JsonOption
+from .options import DeviceOption, DiagnosticsOption, JsonOption
 
 
 def denoise(
@@ -39,6 +39,7 @@ def denoise(
     resume: Annotated[
         bool, typer.Option("--resume", help="Skip frames whose files are there; some before a gap warm up the history.")
     ] = False,
+    diagnostics: DiagnosticsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Denoise an animation that Cycles rendered to multi-layer OpenEXR.
@@ -95,7 +96,7 @@ def denoise(
         typer.echo(f"Warning: {warning}", err=True)
 
     opened = open_device(device)
-    denoiser = SequenceDenoiser(plan, method, opened)
+    denoiser = SequenceDenoiser(plan, method, opened, diagnostics)
     written: list[dict[str, object]] = []
     with progress_bar(source.name, len(order)) as bar:
         for number in order:

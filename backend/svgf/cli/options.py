@@ -18,6 +18,14 @@ FramesOption = Annotated[
 SizeOption = Annotated[
     str | None, typer.Option("--size", metavar="WxH", help="Pixels, as 960x540. Default: what the file says.")
 ]
+DiagnosticsOption = Annotated[
+    bool,
+    typer.Option(
+        "--diagnostics",
+        help="Write passes that say how far each pixel's motion misses, why it has no history, what was repaired and "
+        "which light the firefly limit cut.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
-from .options import DeviceOption, FramesOption, JsonOption, SizeOption, parse_size
+from .options import DeviceOption, DiagnosticsOption, FramesOption, JsonOption, SizeOption, parse_size
 
 if TYPE_CHECKING:
     from ..frame import Frame
@@ -35,6 +35,7 @@ def render(
     resume: Annotated[
         bool, typer.Option("--resume", help="Skip frames whose files are there; some before a gap warm up the history.")
     ] = False,
+    diagnostics: DiagnosticsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render an animation to multi-layer OpenEXR. Files of the same name are replaced."""
@@ -48,7 +49,9 @@ def render(
 
     image_size = parse_size(size)
     width, height = image_size or (None, None)
-    settings = Settings(width, height, bounces=bounces, samples=samples, seed=seed, method=method)
+    settings = Settings(
+        width, height, bounces=bounces, samples=samples, seed=seed, method=method, diagnostics=diagnostics
+    )
     wanted = parse_frames(frames) if frames is not None else None
 
     def name(frame: int, suffix: str) -> Path:

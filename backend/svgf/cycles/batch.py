@@ -43,11 +43,15 @@ class DenoisedFrame:
 
 
 class SequenceDenoiser:
-    """plan: of ``preflight.check``. method: of ``svgf.Denoiser``. Raises as Denoiser does."""
+    """plan: of ``preflight.check``. method: of ``svgf.Denoiser``. diagnostics: add "History Length", "Variance" and the
+    passes of ``svgf.diagnostics`` to the images. Raises as Denoiser does."""
 
-    def __init__(self, plan: Plan, method: str, device: Device) -> None:
+    def __init__(self, plan: Plan, method: str, device: Device, diagnostics: bool = False) -> None:
         self.plan, self.method, self.device = plan, method, device
-        self._layers = [_Layer(reading, Denoiser(plan.width, plan.height, device, method)) for reading in plan.readings]
+        self._layers = [
+            _Layer(reading, Denoiser(plan.width, plan.height, device, method, diagnostics=diagnostics), diagnostics)
+            for reading in plan.readings
+        ]
         self._last: int | None = None
         self._noted_unexplained = False
 
@@ -100,9 +104,9 @@ class SequenceDenoiser:
 class _Layer:
     """One layer and its history."""
 
-    def __init__(self, reading: Reading, denoiser: Denoiser) -> None:
+    def __init__(self, reading: Reading, denoiser: Denoiser, diagnoses: bool) -> None:
         self.reading = reading
-        self._denoiser = denoiser
+        self._denoiser, self._diagnoses = denoiser, diagnoses
         self._before: View | None = None
 
     def denoise(self, image: MultilayerImage, gap: str) -> LayerResult:
@@ -116,5 +120,9 @@ class _Layer:
             self._before = inputs.view
         result = self._denoiser.denoise(inputs.images)
         color = result["color"] + inputs.deficit
+        if self._diagnoses:
+            shown = {"history_length": result["history_length"], "variance": result["variance"]}
+            for name, plane in {**shown, **self._denoiser.diagnostics}.items():
+                image.add(self.reading.layer, name.replace("_", " ").title(), plane)
         cut_to_half = image.replace(self.reading.layer, "Combined", color)
         return LayerResult(color, self._denoiser.last_reset, result["repaired"] + cut_to_half, inputs.unexplained)

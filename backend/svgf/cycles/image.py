@@ -70,6 +70,16 @@ class MultilayerImage:
             channel.pixels = np.ascontiguousarray(plane, channel.pixels.dtype)
         return cut
 
+    def add(self, layer: str, name: str, plane: np.ndarray) -> None:
+        """A pass of one channel, V, float32 [H, W], beside the layer's Combined; takes the place of one of its name."""
+        import OpenEXR
+
+        part, beside = self.layout.layers[layer]["Combined"]["R"]
+        prefix = beside.removesuffix("R").removesuffix("Combined.")
+        full_name = f"{prefix}{name}.V"
+        plane = np.ascontiguousarray(plane, np.float32)
+        self._file.parts[part].channels[full_name] = OpenEXR.Channel(full_name, plane)
+
     def write(self, path: str | os.PathLike[str], attributes: Mapping[str, str | int | float]) -> None:
         """Writes the file, whole or not at all: the same parts, headers, channels and types, and attributes beside
         those of the first part. What was compressed with loss is written with ZIP: compressed with loss again, the

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import Frame
-from ..passes import PASSES
+from ..passes import DIAGNOSTIC_PASSES, PASSES
 from .files import file_error, replacing
 
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -53,7 +53,8 @@ def write(
         "Frame": f"{frame.frame:03d}",
     }
     channels = {}
-    for entry in PASSES.values():
+    diagnosed = frame.reset_reason is not None
+    for entry in [*PASSES.values(), *(DIAGNOSTIC_PASSES.values() if diagnosed else ())]:
         header[f"svgf.unit.{entry.name}"] = entry.unit
         planes = entry.image(frame).reshape(frame.height, frame.width, len(entry.channels))
         for index, channel in enumerate(entry.channels):

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from .guides import namespace, tap
+from .guides import namespace
 
 # Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
 MOVING_BOX = 1.0
@@ -15,8 +15,8 @@ STILL_BOX = 4.0
 STILL_MARGIN = 0.02
 STILL_FRAMES = 24.0
 STILL_RATE = 1.25
-# Of the brightest of the 3x3 pixels: what black counts for in their geometric mean.
-BLACK = 1e-3
+# Of the brightest of the 3x3 pixels: what darker ones count for in their geometric mean.
+BLACK = 2.0**-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +40,14 @@ def antialias(
     motion = xp.zeros((height, width, 2)) if motion is None else motion[..., :2].astype(xp.float64)
     motion = xp.where(xp.isfinite(motion).all(axis=-1)[..., None], motion, -xp.inf)
 
-    around = [tap(dx, dy, color, depth, motion) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-    inside = xp.stack([taken for taken, *_ in around])
-    colors = xp.stack([c for _, c, _, _ in around])
-    white = _white(colors, inside)
+    # Outside the frame, the pixels of its border.
+    taps = [
+        (xp.clip(rows + dy, 0, height - 1), xp.clip(columns + dx, 0, width - 1))
+        for dy in (-1, 0, 1)
+        for dx in (-1, 0, 1)
+    ]
+    colors = xp.stack([color[at] for at in taps])
+    white = _white(colors)
 
     def map_(c: Any) -> Any:
         return c / (white[..., None] + c.max(axis=-1, keepdims=True) + 1e-30)
@@ -51,17 +55,15 @@ def antialias(
     def unmap(c: Any) -> Any:
         return xp.maximum(c, 0.0) * white[..., None] / xp.maximum(1.0 - c.max(axis=-1, keepdims=True), 1e-4)
 
-    count = inside.sum(axis=0)[..., None]
-    mapped = xp.stack([xp.where(taken[..., None], map_(c), 0.0) for taken, c in zip(inside, colors, strict=True)])
-    mean = mapped.sum(axis=0) / count
-    deviation = xp.sqrt((xp.where(inside[..., None], mapped - mean, 0.0) ** 2).sum(axis=0) / count)
+    mapped = xp.stack([map_(c) for c in colors])
+    mean, deviation = mapped.mean(axis=0), mapped.std(axis=0)
 
     # What stands in front leads: its own pixel where no other is nearer.
     front, nearest = motion, depth
-    for taken, _, other_depth, other_motion in around:
-        nearer = taken & (other_depth < nearest)
-        front = xp.where(nearer[..., None], other_motion, front)
-        nearest = xp.where(nearer, other_depth, nearest)
+    for at in taps:
+        nearer = depth[at] < nearest
+        front = xp.where(nearer[..., None], motion[at], front)
+        nearest = xp.where(nearer, depth[at], nearest)
     x, y = columns + front[..., 0], rows + front[..., 1]
     reachable = (x >= 0.0) & (y >= 0.0) & (x <= width - 1) & (y <= height - 1)
     x, y = xp.where(reachable, x, 0.0), xp.where(reachable, y, 0.0)
@@ -99,10 +101,8 @@ def antialias(
     return Resolved(resolved, n)
 
 
-def _white(colors: Any, inside: Any) -> Any:
+def _white(colors: Any) -> Any:
     """The geometric mean of the 3x3 pixels' brightness, [H, W]."""
     xp = namespace(colors)
-    brightness = xp.where(inside, colors.max(axis=-1), 0.0)
-    most = brightness.max(axis=0)
-    logarithms = xp.where(inside, xp.log(brightness + BLACK * most + 1e-30), 0.0)
-    return xp.exp(logarithms.sum(axis=0) / inside.sum(axis=0))
+    brightness = colors.max(axis=-1) + 1e-30
+    return xp.exp(xp.log(xp.maximum(brightness, BLACK * brightness.max(axis=0))).mean(axis=0))

@@ -335,6 +335,44 @@ def coat_at(bsdf: Bsdf, cos_half_view: np.ndarray) -> np.ndarray:
     return bsdf.coat * fresnel_dielectric(cos_half_view, bsdf.coat_eta)
 
 
+@dataclass
+class SmoothBounce:
+    """The mirrored or the refracted direction [n, 3] of surfaces that are smooth and not diffuse, whichever carries
+    more. event: [n], NONE where the surface scatters. weight: [n, 3], of all mirrors that lead there. elsewhere:
+    [n, 3], albedo of the rest. eta: [n], of refraction."""
+
+    event: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+    elsewhere: np.ndarray
+    eta: np.ndarray
+
+
+def smooth_bounce(bsdf: Bsdf) -> SmoothBounce:
+    view = bsdf.to_local(bsdf.view)
+    cosine = view[:, 2]
+    reflectance, transmittance, _ = glass_events(bsdf, cosine)
+    has_glass = (bsdf.smooth_glass & (bsdf.probability[:, 4] > 0.0))[:, None]
+    reflected = np.where(bsdf.smooth[:, None], specular_at(bsdf, cosine), 0.0)
+    reflected = reflected + np.where(bsdf.smooth_coat, coat_at(bsdf, cosine), 0.0)[:, None]
+    reflected = reflected + np.where(has_glass, bsdf.glass * reflectance, 0.0)
+    refracted = np.where(has_glass, bsdf.glass * transmittance, 0.0)
+    rough = np.maximum(bsdf.specular_albedo - reflected - refracted, 0.0)
+    refracts = luminance(refracted) > luminance(reflected)
+    weight = np.where(refracts[:, None], refracted, reflected)
+    elsewhere = rough + np.where(refracts[:, None], reflected, refracted)
+
+    half = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
+    bent = np.where((bsdf.glass_eta == 1.0)[:, None], -view, refract(view, half, bsdf.glass_eta))
+    local = np.where(refracts[:, None], bent, reflect(view, half))
+    direction = normalize(bsdf.to_world(local))
+    side = np.where(refracts, -1.0, 1.0)
+    follows = (luminance(weight) > luminance(elsewhere)) & (bsdf.diffuse_albedo.max(axis=1, initial=0.0) == 0.0)
+    follows &= (local[:, 2] * side > 0.0) & (dot(bsdf.geometric_normal, direction) * side > 0.0)
+    event = np.where(follows, np.where(refracts, TRANSMISSION, GLOSSY), NONE)
+    return SmoothBounce(event, direction, weight, elsewhere, bsdf.glass_eta)
+
+
 def _uniform(alpha: np.ndarray) -> np.ndarray:
     return np.repeat(alpha[:, None], 2, axis=1)
 

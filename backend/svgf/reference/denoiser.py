@@ -18,9 +18,11 @@ from ..settings import METHODS, DenoiseSettings, check_name
 from .antialias import Resolved, antialias
 from .atrous import atrous, atrous_plus, edge_avoiding
 from .demodulate import demodulate, repair, signal_albedo
+from .diagnose import motion_error, repaired_values, reset_reason
 from .device import Device
 from .guides import Guides, luminance, namespace, repair_guides
 from .modulate import modulate
+from .reprojection import reproject
 from .temporal import History, temporal
 from .temporal_plus import Fireflies, HistoryPlus, temporal_plus
 from .variance import variance
@@ -70,10 +72,18 @@ class Denoiser:
         """How many samples of the last frame svgf+ scaled down, and the luminance over albedo that was cut, summed."""
         return self._fireflies.samples, self._fireflies.light
 
-    def denoise(self, inputs: dict[str, Any], reset: bool = False) -> dict[str, Any]:
+    def history_images(self) -> dict[str, Any]:
+        """As ``svgf.Denoiser.history``."""
+        if self.history is None:
+            return {}
+        frames = self.history.frames if self.method == "svgf+" else []
+        return {**_numbered("color", self.history.color), **_numbered("frames", frames)}
+
+    def denoise(self, inputs: dict[str, Any], reset: bool = False, diagnostics: bool = False) -> dict[str, Any]:
         """inputs: images as ``svgf.Denoiser.denoise`` takes them, and optionally `window`; others are not read.
 
-        reset: forget the history first. Returns color [H, W, 3], variance [H, W] and history_length [H, W].
+        reset: forget the history first. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
+        diagnostics, also the images of ``svgf.diagnostics``.
         """
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
         if reset or (self.history is not None and len(self.history.color) != len(signals)):
@@ -82,11 +92,12 @@ class Denoiser:
         with timed("demodulate"):
             color, albedo, guides, repaired = self._demodulate(inputs, signals)
         xp = namespace(guides.depth)
+        before, fireflies = self.history, Fireflies(0, 0.0, xp.zeros(guides.depth.shape))
         spread = None
         length = guides.surface.astype(xp.float64)
         if self.method == "svgf+":
             with timed("temporal"):
-                self.history, spread, self._fireflies, count = temporal_plus(
+                self.history, spread, fireflies, count = temporal_plus(
                     color, _specular(signals), guides, inputs.get("motion"), self.history, self.settings
                 )
             repaired += count
@@ -115,7 +126,7 @@ class Denoiser:
                     color = edge_avoiding(color, guides, inputs.get("window", DEFAULT_WINDOW), level, self.settings)
         with timed("modulate"):
             radiance, spread, count = modulate(color, spread, albedo, inputs.get("emission"))
-        self._repaired = repaired + count
+        self._repaired, self._fireflies = repaired + count, fireflies
         if self.method == "svgf+" and self.settings.antialias_frames > 1.0:
             with timed("antialias"):
                 noisy, noise = self._noisy(inputs, signals), _noise(albedo, self.history.variance)
@@ -124,7 +135,25 @@ class Denoiser:
                     radiance, noisy, noise, changed, guides.depth, inputs.get("motion"), self.resolved, self.settings
                 )
             radiance = self.resolved.color
-        return {"color": radiance, "variance": spread, "history_length": length}
+        result = {"color": radiance, "variance": spread, "history_length": length}
+        return {**result, **self._diagnose(inputs, signals, guides, before, fireflies)} if diagnostics else result
+
+    def _diagnose(
+        self, inputs: dict[str, Any], signals: list[str], guides: Guides, before: Any, fireflies: Fireflies
+    ) -> dict[str, Any]:
+        """before: the history that the frame started from."""
+        point, changed = None, namespace(guides.depth).zeros(guides.depth.shape, bool)
+        if before is not None:
+            point = reproject(guides, before.guides, inputs.get("motion"), self.settings)
+            changed = _any(self.history.changed) if self.method == "svgf+" else changed
+        return {
+            "motion_error": motion_error(guides, point, inputs.get("window", DEFAULT_WINDOW)),
+            "reset_reason": reset_reason(guides, point, changed),
+            "repaired_values": repaired_values(
+                inputs, {signal: SIGNAL_ALBEDOS[signal] for signal in signals}, point is not None
+            ),
+            "suppressed_light": fireflies.image,
+        }
 
     def stage(self, name: str, arrays: dict[str, Any], level: int = 0) -> dict[str, Any]:
         """One stage alone. Names ending in a digit are one per signal, from 0.

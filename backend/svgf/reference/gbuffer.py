@@ -3,32 +3,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from ..light_paths import LightPaths
 from ..scene import RayVisibility
+from .bsdf import NONE, TRANSMISSION
 from .camera import Camera
 from .intersect import Hits
-from .path import BACKGROUND_DEPTH
+from .opacity import find_path_hits, surface_choice
 from .surface import SceneView, surface_at
 
+BACKGROUND_DEPTH = 1e10
 LARGEST_GRADIENT = 1e10
 # Motion, in pixels, of what was behind the previous camera: reprojects to nowhere.
 NO_MOTION = 1e6
+# Links of a chain of mirrors and bends at most, see specular_chain.py.
+LONGEST_CHAIN = 8
 
 
 @dataclass
 class PrimaryRays:
-    """point: [n, 2] image points. origin, direction: [n, 3] unit. far: [n], where they end. choice: of a vertex, random
-    numbers [n, 2] of which the first is that of surface_at."""
+    """point: [n, 2] image points. origin, direction: [n, 3] unit. far: [n], where they end. keys: [n], see pixel_keys.
+    sample_number: of their sample."""
 
     point: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     far: np.ndarray
-    choice: Callable[[int], np.ndarray]
+    keys: np.ndarray
+    sample_number: int
 
 
 def trace_gbuffer(
@@ -37,11 +42,12 @@ def trace_gbuffer(
     previous_camera: Camera,
     rays: PrimaryRays,
     hits: Hits,
+    passed: np.ndarray,
     transparent_bounces: int,
 ) -> dict[str, np.ndarray]:
-    """hits: of the rays. Returns images as rows of pixels."""
+    """hits, passed: see find_path_hits. Returns images as rows of pixels."""
     point, direction = rays.point, rays.direction
-    hits, choice, tint = _see_through(scene, rays, hits, transparent_bounces)
+    hits, choice, tint = _see_through(scene, rays, hits, max(transparent_bounces, 1) - passed)
     count = len(point)
     images = {
         "normal": np.zeros((count, 3)),
@@ -93,28 +99,40 @@ def trace_gbuffer(
 
 
 def _see_through(
-    scene: SceneView, rays: PrimaryRays, hits: Hits, transparent_bounces: int
+    scene: SceneView, rays: PrimaryRays, hits: Hits, allowed: np.ndarray
 ) -> tuple[Hits, np.ndarray, np.ndarray]:
-    """The hits that rays see, past those that let them go straight on; their choice [n], and what the ones before
-    multiply light by, [n, 3]."""
-    hits = replace(hits, **{field.name: getattr(hits, field.name).copy() for field in fields(hits)})
-    choice, tint = rays.choice(0)[:, 0], np.ones((len(hits.t), 3))
-    rows = np.flatnonzero(hits.found)
-    for vertex in range(1, max(transparent_bounces, 1) + 1):
-        view = -rays.direction[rows]
-        straight = surface_at(scene, hits, rows, view, choice[rows]).straight if len(rows) else np.zeros((0, 3))
-        passes = straight.max(axis=1, initial=0.0) > 0.0
-        rows, straight = rows[passes], straight[passes]
-        if not len(rows):
-            break
+    """The hits that rays see, past those that let them go straight on, at most so many [n]; their choice [n], and what
+    the ones before multiply light by, [n, 3]."""
+    hits = hits.rows(np.arange(len(hits.t)))
+    choice, tint = np.zeros(len(hits.t)), np.ones((len(hits.t), 3))
+    rows, vertex = np.flatnonzero(hits.found), 0
+    while len(rows):
+        keys = rays.keys[rows]
+        choice[rows] = surface_choice(scene, keys, rays.sample_number, vertex, hits.rows(rows))
+        straight = surface_at(scene, hits, rows, -rays.direction[rows], choice[rows]).straight
+        passes = (straight.max(axis=1, initial=0.0) > 0.0) & (allowed[rows] > 0)
+        rows, keys, straight = rows[passes], keys[passes], straight[passes]
+        vertex += 1
         tint[rows] *= straight
-        kind = np.full(len(rows), int(RayVisibility.CAMERA))
-        behind = scene.shapes.closest(rays.origin[rows], rays.direction[rows], hits.t[rows], rays.far[rows], kind)
-        for field in fields(hits):
-            getattr(hits, field.name)[rows] = getattr(behind, field.name)
-        choice[rows] = rays.choice(vertex)[rows, 0]
+        allowed[rows] -= 1
+        behind, passed = find_path_hits(
+            scene, keys, rays.sample_number, vertex, rays.origin[rows], rays.direction[rows], hits.t[rows],
+            rays.far[rows], np.full(len(rows), int(RayVisibility.CAMERA)), allowed[rows],
+        )  # fmt: skip
+        allowed[rows] -= passed
+        hits.set_rows(rows, behind)
         rows = rows[behind.found]
     return hits, choice, tint
+
+
+def may_follow(
+    event: np.ndarray, bounces: int, limits: LightPaths, reflections: np.ndarray, refractions: np.ndarray
+) -> np.ndarray:
+    """bool [n]: whether chains of so many links have another one. event: of smooth_bounce."""
+    refracts = event == TRANSMISSION
+    made = np.where(refracts, refractions, reflections)
+    allowed = np.where(refracts, limits.transmission_bounces, limits.glossy_bounces)
+    return (event != NONE) & (reflections + refractions < min(bounces, LONGEST_CHAIN)) & (made < allowed)
 
 
 def motion(previous_camera: Camera, point: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ back: simple, not fast.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -108,6 +109,17 @@ class Hits:
     def found(self) -> np.ndarray:
         return np.isfinite(self.t)
 
+    def rows(self, chosen: np.ndarray) -> Hits:
+        return Hits(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+    def set_rows(self, chosen: np.ndarray, hits: Hits) -> None:
+        for field in fields(self):
+            getattr(self, field.name)[chosen] = getattr(hits, field.name)
+
+
+def no_hits(count: int) -> Hits:
+    return Hits(np.full(count, np.inf), np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros((count, 3)))
+
 
 class Geometry:
     """Meshes in a row, and their instances."""
@@ -159,14 +171,39 @@ class Geometry:
     ) -> Hits:
         """The nearest triangle with t_min < t < t_max of the instances that rays of this kind [n] (bits of
         RayVisibility) see. Arrays [n, 3] and [n]; t counts in lengths of direction."""
-        count = len(origin)
-        hits = Hits(np.full(count, np.inf), np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros((count, 3)))
-        for start in range(0, count, RAYS_AT_ONCE):
+        hits = no_hits(len(origin))
+        for start in range(0, len(origin), RAYS_AT_ONCE):
             rows = slice(start, start + RAYS_AT_ONCE)
             self._closest(hits, start, origin[rows], direction[rows], t_min[rows], t_max[rows], kind[rows])
         return hits
 
     def _closest(self, hits: Hits, start: int, origin, direction, t_min, t_max, kind) -> None:
+        nearest = hits.t[start : start + len(origin)]
+        for row, found in self._crossings(origin, direction, t_min, t_max, kind, nearest):
+            # Sorted by t within each ray, the first is the nearest.
+            order = np.lexsort((found.t, row))
+            row, winner = np.unique(row[order], return_index=True)
+            hits.set_rows(row + start, found.rows(order[winner]))
+
+    def crossings(
+        self, origin: np.ndarray, direction: np.ndarray, t_min: np.ndarray, t_max: np.ndarray, kind: np.ndarray
+    ) -> tuple[np.ndarray, Hits]:
+        """All hits with t_min < t < t_max, sorted by ray and t, and the ray of each. Arguments: see closest."""
+        rays, hits = [np.zeros(0, np.int64)], [no_hits(0)]
+        for start in range(0, len(origin), RAYS_AT_ONCE):
+            part = slice(start, start + RAYS_AT_ONCE)
+            rest = (a[part] for a in (origin, direction, t_min, t_max, kind))
+            for row, found in self._crossings(*rest, t_max[part]):
+                rays.append(row + start)
+                hits.append(found)
+        ray = np.concatenate(rays)
+        found = Hits(**{f.name: np.concatenate([getattr(part, f.name) for part in hits]) for f in fields(Hits)})
+        order = np.lexsort((found.triangle, found.instance, found.t, ray))
+        return ray[order], found.rows(order)
+
+    def _crossings(self, origin, direction, t_min, t_max, kind, nearest) -> Iterator[tuple[np.ndarray, Hits]]:
+        """Mesh by mesh and part by part, rays and hits with t_min < t < t_max and t < nearest. nearest may change
+        meanwhile. A triangle may come twice for one ray."""
         ray, placed = self.top.candidates(origin, direction, t_max)
         instance = self.placed[placed]
         sees = (self.visibility[instance] & kind[ray]) != 0
@@ -180,22 +217,15 @@ class Geometry:
             pair_direction = transform_vector(to_object, direction[pair_ray])
             for first in range(0, len(pair_ray), RAYS_AT_ONCE):
                 part = slice(first, first + RAYS_AT_ONCE)
-                limit = np.minimum(t_max[pair_ray[part]], hits.t[start + pair_ray[part]])
+                limit = np.minimum(t_max[pair_ray[part]], nearest[pair_ray[part]])
                 pair, primitive = mesh.hierarchy.candidates(pair_origin[part], pair_direction[part], limit)
                 pair = pair + first
                 triangle = mesh.solid[primitive]
                 t, weights = intersect_triangles(pair_origin[pair], pair_direction[pair], mesh.corners[triangle])
                 row = pair_ray[pair]
-                valid = (t > t_min[row]) & (t < t_max[row]) & (t < hits.t[start + row])
-                row, t, triangle, weights, pair = (a[valid] for a in (row, t, triangle, weights, pair))
-                # Sorted by t within each ray, the first is the nearest.
-                order = np.lexsort((t, row))
-                row, winner = np.unique(row[order], return_index=True)
-                winner = order[winner]
-                row = row + start
-                hits.t[row], hits.weights[row] = t[winner], weights[winner]
-                hits.instance[row] = pair_instance[pair[winner]]
-                hits.triangle[row] = triangle[winner] + self.first_triangle[index]
+                valid = (t > t_min[row]) & (t < t_max[row]) & (t < nearest[row])
+                triangle = triangle + self.first_triangle[index]
+                yield row[valid], Hits(t, pair_instance[pair], triangle, weights).rows(valid)
 
     def occluded(self, origin: np.ndarray, direction: np.ndarray, t_max: np.ndarray) -> np.ndarray:
         kind = np.full(len(origin), int(RayVisibility.SHADOW))

@@ -14,8 +14,10 @@ import numpy as np
 from ..flatten import MATERIAL_COLUMNS
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
-from .bsdf import Bsdf, evaluate, sample
+from .bsdf import NONE, Bsdf, BsdfSample, evaluate, sample, smooth_bounce
+from .gbuffer import BACKGROUND_DEPTH, may_follow
 from .intersect import SHADOW_END, Hits, offset_origin
+from .opacity import find_path_hits, shadow_transmittance, surface_choice
 from .sampling import (
     direction_pair,
     light_choice_pair,
@@ -23,16 +25,10 @@ from .sampling import (
     lobe_pair,
     power_heuristic,
     random_pair,
-    shadow_pair,
-    surface_pair,
 )
-from .surface import SceneView, Surface, surface_at, transmittance_at
+from .surface import SceneView, Surface, surface_at
 
 ROULETTE_START = 3
-# Depth of the background, and the distance to it.
-BACKGROUND_DEPTH = 1e10
-# Numbers of the surfaces on one shadow ray.
-SHADOW_SURFACES = 1025
 
 _KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)
 
@@ -42,8 +38,9 @@ class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
     that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
     signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray
-    only looks for light. measures_distance: the ray left the seen surface by a specular lobe. transparent_bounces: [n].
-    t_min, t_max: [n], where the ray looks."""
+    only looks for light. measures_distance: the ray left the seen surface by a specular lobe. on_chain: all bounces so
+    far lead to the surface that the pixel sees, see specular_chain.py; links: [n], those that do. transparent_bounces:
+    [n]. t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
@@ -58,6 +55,8 @@ class Paths:
     bounces: np.ndarray
     ends: np.ndarray
     measures_distance: np.ndarray
+    on_chain: np.ndarray
+    links: np.ndarray
     transparent_bounces: np.ndarray
     t_min: np.ndarray
     t_max: np.ndarray
@@ -82,14 +81,17 @@ class Signals:
             self.images["alpha"] = np.zeros(count)
         self.hit_distance = np.zeros(count)
 
-    def add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: np.ndarray) -> None:
-        """bounces: [n], between the camera and the light. share: see Paths."""
+    def add(
+        self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: np.ndarray, links: np.ndarray
+    ) -> None:
+        """bounces: [n], between the camera and the light. share, links: see Paths."""
         value = np.where(np.isfinite(value), value, 0.0)
         limit = 3.0 * np.where(bounces > 1, self._limits.clamp_indirect, self._limits.clamp_direct)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = value * np.where(limit > 0.0, np.fmin(1.0, limit / value.sum(axis=1)), 1.0)[:, None]
-        for number in np.unique(np.minimum(bounces, 2)):
-            chosen = np.minimum(bounces, 2) == number
+        after_seen = np.minimum(bounces - links, 2)
+        for number in np.unique(after_seen):
+            chosen = after_seen == number
             self._add(pixel[chosen], value[chosen], share[chosen], number)
 
     def _add(self, pixel: np.ndarray, value: np.ndarray, share: np.ndarray, bounces: int) -> None:
@@ -116,10 +118,16 @@ def trace_paths(
     near: np.ndarray,
     far: np.ndarray,
     hits: Hits,
+    passed: np.ndarray,
+    follows_chains: bool = False,
+    chain_light: np.ndarray | None = None,
 ) -> None:
-    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits: the primary
-    rays, which look from near to far, and what they hit."""
+    """Adds one sample of every pixel to signals. keys: [n] of pixel_keys. origin, direction (unit), hits, passed: the
+    primary rays, which look from near to far, and what find_path_hits says of them. follows_chains: the pixels see what
+    specular_chain.py says. chain_light: what it returned for this sample."""
     count = len(direction)
+    if chain_light is not None:
+        signals.images["emission"] += chain_light
     paths = Paths(
         pixel=np.arange(count),
         origin=origin,
@@ -134,6 +142,8 @@ def trace_paths(
         bounces=np.zeros((count, 3), dtype=np.int64),
         ends=np.zeros(count, dtype=bool),
         measures_distance=np.zeros(count, dtype=bool),
+        on_chain=np.ones(count, dtype=bool),
+        links=np.zeros(count, dtype=np.int64),
         transparent_bounces=np.zeros(count, dtype=np.int64),
         t_min=near,
         t_max=far,
@@ -143,17 +153,24 @@ def trace_paths(
     vertex = 0
     while len(paths.pixel):
         if vertex:
-            hits = scene.shapes.closest(paths.origin, paths.direction, paths.t_min, paths.t_max, paths.kind)
-        _add_lamps(scene, signals, paths, hits)
-        _add_world(scene, signals, paths.rows(~hits.found))
+            hits, passed = find_path_hits(
+                scene, keys[paths.pixel], sample_number, vertex, paths.origin, paths.direction, paths.t_min, paths.t_max,
+                paths.kind, max(limits.transparent_bounces, 1) - paths.transparent_bounces,
+            )  # fmt: skip
+        paths.transparent_bounces = paths.transparent_bounces + passed
+        is_known = paths.on_chain & (paths.links > 0) & (chain_light is not None)
+        unknown = np.flatnonzero(~is_known)
+        _add_lamps(scene, signals, paths.rows(unknown), hits.rows(unknown))
+        _add_world(scene, signals, paths.rows(~hits.found & ~is_known))
         signals.hit_distance[paths.pixel[~hits.found & paths.measures_distance]] = BACKGROUND_DEPTH
         found = np.flatnonzero(hits.found)
         paths, t = paths.rows(found), hits.t[found]
         if not len(found):
             return
-        choice = random_pair(keys[paths.pixel], surface_pair(vertex), sample_number)[:, 0]
+        choice = surface_choice(scene, keys[paths.pixel], sample_number, vertex, hits.rows(found))
         surface = surface_at(scene, hits, found, -paths.direction, choice)
-        _add_emission(scene, signals, paths, surface, t)
+        unknown = np.flatnonzero(~is_known[found])
+        _add_emission(scene, signals, paths.rows(unknown), surface.chosen(unknown), t[unknown])
 
         # What goes straight on keeps its ray, so that what it finds has the density with which it was sampled.
         # As in Cycles the surface after the last that may be passed only shines, and one may always be passed.
@@ -176,8 +193,9 @@ def trace_paths(
         paths.throughput = paths.throughput / survival[alive][:, None]
         if len(paths.pixel):
             paths = _scatter(
-                scene, signals, keys, sample_number, bounces, limits, paths, surface, lobe_and_roulette, vertex
-            )
+                scene, signals, keys, sample_number, bounces, limits, paths, surface, lobe_and_roulette, vertex,
+                follows_chains,
+            )  # fmt: skip
         paths = Paths(**{
             field.name: np.concatenate([getattr(paths, field.name), getattr(straight, field.name)])
             for field in fields(Paths)
@@ -196,6 +214,7 @@ def _scatter(
     surface: Surface,
     lobe_and_roulette: np.ndarray,
     vertex: int,
+    follows_chains: bool,
 ) -> Paths:
     """Light that is sampled at surfaces, and the paths that leave them."""
     position, magnitude = surface.position, surface.magnitude
@@ -211,9 +230,8 @@ def _scatter(
     kind = np.array([0, *map(int, _KINDS)])[found.event]
     diffuse, specular = _kept(found.diffuse, found.specular, allowed, kind == RayVisibility.TRANSMISSION)
     value = diffuse + specular
-    first = paths.bounces.sum(axis=1) == 0
-    paths.share = np.where(first[:, None], _share(diffuse, value), paths.share)
-    paths.measures_distance = first & (kind != RayVisibility.DIFFUSE) & (specular > 0.0).any(axis=1)
+    _leave_or_follow_chains(paths, bsdf, found, bounces, limits, follows_chains, _share(diffuse, value))
+    paths.measures_distance &= (kind != RayVisibility.DIFFUSE) & (specular > 0.0).any(axis=1)
     paths.throughput = paths.throughput * value
     paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, kind
     paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
@@ -225,6 +243,22 @@ def _scatter(
     of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
     paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (paths.bounces.sum(axis=1) > bounces)
     return paths.rows(paths.throughput.max(axis=1) > 0.0)
+
+
+def _leave_or_follow_chains(
+    paths: Paths, bsdf: Bsdf, found: BsdfSample, bounces: int, limits: LightPaths, follows: bool, share: np.ndarray
+) -> None:
+    """At the first surface that does not go on with a path's chain, which is what the pixel sees, share [n, 3] divides
+    the light to come."""
+    event = smooth_bounce(bsdf).event if follows else np.full(len(paths.pixel), NONE)
+    made = [paths.bounces[:, _KINDS.index(kind)] for kind in (RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)]
+    goes_on = may_follow(event, bounces, limits, *made)
+    stays = paths.on_chain & goes_on & found.delta & (found.event == event)
+    leaves = paths.on_chain & ~stays
+    paths.share = np.where(leaves[:, None], share, paths.share)
+    paths.measures_distance = leaves & ~goes_on
+    paths.links = paths.links + stays
+    paths.on_chain = stays
 
 
 def _simplify(surface: Surface, paths: Paths, limits: LightPaths) -> None:
@@ -277,7 +311,7 @@ def _add_lamps(scene: SceneView, signals: Signals, paths: Paths, hits: Hits) -> 
         crossing, radiance, pdf = paths.rows(rows[sees]), radiance[sees], pdf[sees]
         pdf = pdf * lights.choice_probability(np.full(len(pdf), light), crossing.origin, crossing.normal)
         value = crossing.throughput * radiance * _hit_weight(crossing, pdf)
-        signals.add(crossing.pixel, value, crossing.share, crossing.bounces.sum(axis=1))
+        signals.add(crossing.pixel, value, crossing.share, crossing.bounces.sum(axis=1), crossing.links)
 
 
 def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
@@ -290,7 +324,7 @@ def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
     if scene.world.light >= 0:
         pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
     value = paths.throughput * scene.world.radiance(paths.direction) * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1), paths.links)
 
 
 def _add_emission(scene: SceneView, signals: Signals, paths: Paths, surface: Surface, t: np.ndarray) -> None:
@@ -299,7 +333,7 @@ def _add_emission(scene: SceneView, signals: Signals, paths: Paths, surface: Sur
     lit = np.flatnonzero((surface.light >= 0) & ~paths.delta)
     pdf[lit] *= scene.lights.choice_probability(surface.light[lit], paths.origin[lit], paths.normal[lit])
     value = paths.throughput * surface.emission * _hit_weight(paths, pdf)
-    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1))
+    signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1), paths.links)
 
 
 def _add_direct_light(
@@ -330,7 +364,7 @@ def _add_direct_light(
     direction = light.direction[lit]
     origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
     surfaces = limits.transparent_bounces - paths.transparent_bounces[lit]
-    value[lit] *= _shadow_transmittance(
+    value[lit] *= shadow_transmittance(
         scene,
         keys[paths.pixel[lit]],
         sample_number,
@@ -340,35 +374,5 @@ def _add_direct_light(
         light.distance[lit] * SHADOW_END,
         surfaces,
     )
-    number = paths.bounces.sum(axis=1)[lit]
-    share = np.where((number == 0)[:, None], _share(diffuse[lit], total[lit]), paths.share[lit])
-    signals.add(paths.pixel[lit], value[lit], share, number + 1)
-
-
-def _shadow_transmittance(
-    scene: SceneView,
-    keys: np.ndarray,
-    sample_number: int,
-    vertex: int,
-    origin: np.ndarray,
-    direction: np.ndarray,
-    t_max: np.ndarray,
-    surfaces: np.ndarray,
-) -> np.ndarray:
-    """What is left, [n, 3], of light that goes straight on to the end of shadow rays, through at most so many surfaces
-    [n]."""
-    left = np.ones((len(origin), 3))
-    t_min, rows = np.zeros(len(origin)), np.arange(len(origin))
-    number = 0
-    while len(rows):
-        kind = np.full(len(rows), int(RayVisibility.SHADOW))
-        hits = scene.shapes.closest(origin[rows], direction[rows], t_min[rows], t_max[rows], kind)
-        found = np.flatnonzero(hits.found)
-        rows, t = rows[found], hits.t[found]
-        choice = random_pair(keys[rows], shadow_pair(vertex * SHADOW_SURFACES + number), sample_number)[:, 0]
-        passed = transmittance_at(scene, hits, found, -direction[rows], choice) if len(rows) else np.zeros((0, 3))
-        left[rows] *= np.where((number < surfaces[rows])[:, None], passed, 0.0)
-        t_min[rows] = t
-        rows = rows[left[rows].max(axis=1, initial=0.0) > 0.0]
-        number += 1
-    return left
+    share = np.where(paths.on_chain[lit, None], _share(diffuse[lit], total[lit]), paths.share[lit])
+    signals.add(paths.pixel[lit], value[lit], share, paths.bounces.sum(axis=1)[lit] + 1, paths.links[lit])

@@ -18,14 +18,16 @@ UNKNOWN_DEPTH_TOLERANCE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Reprojection:
-    """x, y [H, W]: pixels of the frame before, 0 = centre of the first one. expected_depth [H, W]. reachable bool
-    [H, W]: a bilinear tap can lie inside the frame; x and y are 0 elsewhere. repaired: motions that were no numbers."""
+    """x, y [H, W]: pixels of the frame before, 0 = centre of the first one. expected_depth [H, W]. known bool [H, W]:
+    motion is a number. reachable bool [H, W]: a bilinear tap can lie inside the frame; x and y are 0 elsewhere.
+    repaired: motions of surfaces that were no numbers."""
 
     guides: Guides
     previous: Guides
     x: Any
     y: Any
     expected_depth: Any
+    known: Any
     reachable: Any
     tolerance: float
     normal_tolerance: float
@@ -48,18 +50,47 @@ class Reprojection:
             for i in (-1, 0, 1):
                 yield x + i, y + j, xp.where(self._accepts(x + i, y + j), 1.0, 0.0)
 
-    def _accepts(self, column: Any, row: Any) -> Any:
+    def found(self) -> Any:
+        """bool [H, W]: there is history."""
+        xp = namespace(self.x)
+        near, around = (sum(weight for _, _, weight in taps) for taps in (self.bilinear(), self.neighbours()))
+        return xp.where(near >= LEAST_TAP_WEIGHT, True, around > 0.0)
+
+    def compare(self, column: Any, row: Any) -> Comparison:
+        """This frame's surfaces with those that the pixels (column, row) [H, W] saw, which may lie outside."""
         xp = namespace(self.x)
         height, width = self.x.shape
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        slope = self.guides.gradient
+        plane = self.expected_depth + slope[..., 0] * (column - self.x) + slope[..., 1] * (row - self.y)
+        allowed = self.tolerance * xp.abs(self.expected_depth) + 0.5 * xp.abs(slope).sum(axis=-1)
+        inside = self.reachable & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         row, column = xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)
         old = self.previous
-        slope = old.gradient[row, column]
-        plane = old.depth[row, column] + slope[..., 0] * (self.x - column) + slope[..., 1] * (self.y - row)
-        allowed = self.tolerance * xp.abs(self.expected_depth) + 0.5 * xp.abs(slope).sum(axis=-1)
-        same = self.reachable & inside & (old.object_id[row, column] == self.guides.object_id)
-        same &= xp.abs(plane - self.expected_depth) <= allowed
-        return same & ((old.normal[row, column] * self.guides.normal).sum(axis=-1) >= self.normal_tolerance)
+        return Comparison(
+            inside,
+            old.object_id[row, column] == self.guides.object_id,
+            old.depth[row, column] - plane,
+            allowed,
+            (old.normal[row, column] * self.guides.normal).sum(axis=-1),
+        )
+
+    def _accepts(self, column: Any, row: Any) -> Any:
+        xp = namespace(self.x)
+        pixel = self.compare(column, row)
+        same = pixel.inside & pixel.same_object & (xp.abs(pixel.depth_error) <= pixel.allowed)
+        return same & (pixel.cosine >= self.normal_tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """[H, W] each. inside bool: of the frame. same_object bool. depth_error: of the surface's plane, continued to the
+    pixel; allowed: how large it may be. cosine: between the normals."""
+
+    inside: Any
+    same_object: Any
+    depth_error: Any
+    allowed: Any
+    cosine: Any
 
 
 def reproject(guides: Guides, previous: Guides, motion: Any, settings: Any) -> Reprojection:
@@ -80,5 +111,5 @@ def reproject(guides: Guides, previous: Guides, motion: Any, settings: Any) -> R
     x, y = xp.where(reachable, x, 0.0), xp.where(reachable, y, 0.0)
     expected = guides.depth + (motion[..., 2] if motion.shape[-1] == 3 else 0.0)
     return Reprojection(
-        guides, previous, x, y, expected, reachable, tolerance, settings.normal_tolerance, repaired
+        guides, previous, x, y, expected, known, reachable, tolerance, settings.normal_tolerance, repaired
     )

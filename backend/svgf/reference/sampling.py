@@ -37,13 +37,13 @@ def light_choice_pair(vertex: int) -> int:
 
 
 def surface_pair(vertex: int) -> int:
-    """Part of a mix, and whether the ray passes straight; the second number is not used. Far from all others."""
+    """Part of a mix, and whether the ray passes straight, at a triangle. Far from all others."""
     return (1 << 16) + PAIRS_PER_VERTEX * vertex
 
 
-def shadow_pair(number: int) -> int:
-    """Part of a mix at a surface on a shadow ray."""
-    return (1 << 18) + PAIRS_PER_VERTEX * number
+def shadow_pair(vertex: int) -> int:
+    """Part of a mix at a triangle on a shadow ray from the vertex."""
+    return (1 << 18) + PAIRS_PER_VERTEX * vertex
 
 
 def _uint32(x) -> np.ndarray:
@@ -111,6 +111,16 @@ def random_pair(pixel_key: np.ndarray, pair: int, sample: int) -> np.ndarray:
     first = owen(first, mix(key ^ np.uint32(0xA511E9B3)))
     second = owen(second, mix(key ^ np.uint32(0x63D83595)))
     return np.stack([to_unit(first), to_unit(second)], axis=-1)
+
+
+def random_at_triangle(
+    pixel_key: np.ndarray, pair: int, sample: int, instance: np.ndarray, triangle: np.ndarray
+) -> np.ndarray:
+    """[n] in [0, 1): the first number of a pair that each triangle of each instance has for itself."""
+    surface = mix(mix(instance) + _uint32(triangle))
+    key = mix(mix(pixel_key + np.uint32((0x9E3779B9 * (pair + 1)) & 0xFFFFFFFF)) ^ surface)
+    first, _ = sobol(owen(sample & 0xFFFFFFFF, key))
+    return to_unit(owen(first, mix(key ^ np.uint32(0xA511E9B3))))
 
 
 def frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -214,6 +214,14 @@ def find_opacity(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(is_transparent, 0.0, opacity), np.where(is_transparent[:, None], column(rows, "base_color"), 1.0)
 
 
+def material_rows_at(scene: SceneView, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+    """Indices [n] of the materials of hits, all of which did hit, and their rows [n, 48] with the values of their
+    maps; mixes as a whole."""
+    shapes = scene.shapes
+    material = shapes.material_table[shapes.material_start[hits.instance] + shapes.slots[hits.triangle]]
+    return material, _apply_maps(scene, hits, np.arange(len(material)), material)
+
+
 def transmittance_at(
     scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray, choice: np.ndarray
 ) -> np.ndarray:

@@ -28,8 +28,8 @@ CLAMP_MARGIN = 1e-4
 class HistoryPlus:
     """What a frame leaves to the next: per signal the mean color [H, W, 3], the frames [H, W] in it, the variance [H,
     W] of a sample's luminance, the drift [H, W] of samples from history in deviations, changed bool [H, W]
-    where history gave way to a change of light, and the luminance [H, W] after the filter;
-    the guides they belong to."""
+    where history gave way to a change of light, and the luminance [H, W] after the filter; the guides they belong
+    to."""
 
     color: list[Any]
     frames: list[Any]
@@ -42,10 +42,12 @@ class HistoryPlus:
 
 @dataclass(frozen=True)
 class Fireflies:
-    """samples: that were brighter than the limit. light: luminance over albedo that was cut from them."""
+    """samples: that were brighter than the limit. light: luminance over albedo that was cut from them; image: the same
+    [H, W]."""
 
     samples: int
     light: float
+    image: Any = None
 
 
 def temporal_plus(
@@ -80,7 +82,7 @@ def temporal_plus(
     near = _neighbours(illumination, guides, settings.normal_tolerance)
     count = sum(same for same, _ in near)
     colors, frames, variances, new_drifts, changes, spreads = [], [], [], [], [], []
-    fireflies, cut = 0, 0.0
+    fireflies, cut = 0, xp.zeros(shape)
     for s, new in enumerate(illumination):
         # The limit, by what history and the neighbours say.
         lights = [xp.where(same, luminance(color[s]), 0.0) for same, color in near]
@@ -92,7 +94,7 @@ def temporal_plus(
         sample = _limited(new, limit)
         above = surface & (luminance(new) > limit)
         fireflies += int(above.sum())
-        cut += float((luminance(new) - limit)[above].sum())
+        cut = cut + xp.where(above, luminance(new) - limit, 0.0)
 
         # Mean and variance of the 3x3 samples.
         taps = [xp.where(same[..., None], _limited(color[s], limit), 0.0) for same, color in near]
@@ -110,7 +112,7 @@ def temporal_plus(
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
         n = left + 1.0
-        n = xp.where(moves, xp.minimum(n, settings.history_frames), n)
+        n = xp.where(moves, xp.minimum(n, settings.longest_history), n)
         variance = old_variance[s] + (spread - old_variance[s]) / n
         deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
         residual = (luminance(sample) - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
@@ -125,7 +127,7 @@ def temporal_plus(
         kept = xp.where(far, allowed / xp.where(far, distance, 1.0), 1.0)
         past = xp.where(far[..., None], mean + (changed - mean) * kept[..., None], changed)
         shorter = xp.maximum(left * kept, 1.0) + 1.0
-        n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.history_frames), shorter), n)
+        n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.longest_history), shorter), n)
 
         colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
         frames.append(xp.where(surface, n, 0.0))
@@ -134,7 +136,7 @@ def temporal_plus(
         variances.append(xp.where(surface, variance, 0.0))
         spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
     new = HistoryPlus(colors, frames, variances, new_drifts, changes, none, guides)
-    return new, spreads, Fireflies(fireflies, cut), repaired
+    return new, spreads, Fireflies(fireflies, float(cut.sum()), cut), repaired
 
 
 def _limited(color: Any, limit: Any) -> Any:

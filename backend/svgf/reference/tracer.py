@@ -14,8 +14,10 @@ from .environment import World
 from .gbuffer import PrimaryRays, trace_gbuffer
 from .intersect import Hits
 from .lights import Lights
+from .opacity import find_path_hits
 from .path import Signals, trace_paths
-from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair, surface_pair
+from .sampling import LENS_PAIR, PIXEL_PAIR, pixel_keys, random_pair
+from .specular_chain import replace_smooth_surfaces
 from .surface import Mesh, SceneView, Shapes
 from .texture import Texture
 
@@ -116,6 +118,8 @@ class Tracer:
         limits = LightPaths(*light_paths)
         keys = pixel_keys(width, height, seed)
         images: dict[str, np.ndarray] = {}
+        smooth = Effects.SPECULAR | Effects.PERFECT_SPECULAR
+        has_chains = Effects(effects) & smooth == smooth
         radiance = Signals(width * height, signals, bool(Effects(effects) & Effects.SPECULAR), limits, transparent_film)
         for number in range(sample, sample + samples):
             with self._device.stage("gbuffer"):
@@ -127,19 +131,30 @@ class Tracer:
                 # rays count in metres.
                 length = np.sqrt((direction**2).sum(axis=1))
                 direction, near, far = direction / length[:, None], clip[0] * length, clip[1] * length
-                hits = self._shapes.closest(origin, direction, near, far, np.full(len(far), int(RayVisibility.CAMERA)))
+                kind = np.full(len(far), int(RayVisibility.CAMERA))
+                allowed = np.full(len(far), max(limits.transparent_bounces, 1))
+                hits, passed = find_path_hits(scene, keys, number, 0, origin, direction, near, far, kind, allowed)
+                chain_light = None
                 if not images:
-                    primary = PrimaryRays(
-                        point, origin, direction, far, lambda vertex: random_pair(keys, surface_pair(vertex), number)
+                    primary = PrimaryRays(point, origin, direction, far, keys, number)
+                    images = trace_gbuffer(
+                        scene, camera, previous_camera, primary, hits, passed, limits.transparent_bounces
                     )
-                    images = trace_gbuffer(scene, camera, previous_camera, primary, hits, limits.transparent_bounces)
+                    if has_chains:
+                        chain_light = replace_smooth_surfaces(
+                            scene, camera, previous_camera, primary, hits, passed, bounces, limits, images
+                        )
             with self._device.stage("path"):
-                trace_paths(scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits)
+                trace_paths(
+                    scene, radiance, keys, number, bounces, limits, origin, direction, near, far, hits, passed,
+                    has_chains, chain_light,
+                )  # fmt: skip
                 images.setdefault("hit_distance", radiance.hit_distance.copy())
         if not Effects(effects) & Effects.SPECULAR:
             del images["specular_albedo"], images["hit_distance"]
         if not Effects(effects) & MOTION_EFFECTS:
-            del images["motion"]
+            for name in ("motion", "first_motion"):
+                images.pop(name, None)
         images.update({name: image / samples for name, image in radiance.images.items()})
         return {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
 

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rays through surfaces that let light pass straight, decided where the traversal meets them: opaque triangles stop a
+// ray there and then, and only cut-outs read a texture.
+//
+// A path's ray passes a cut-out or not by a random number of the triangle's own, so that it does not matter in which
+// order triangles are met. Shadow rays take the share that is let through. Surfaces whose tint, parts or emission only
+// shading knows (OpacityClass::shaded) stop a path's ray; trace/path.h sends it on from there.
+#pragma once
+
+#include "core/effects.h"
+#include "core/sampling.h"
+#include "trace/intersect.h"
+#include "trace/surface.h"
+
+namespace svgf {
+
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that traces a path's rays. Reading alpha from
+// within the traversal takes registers.
+template <Effects kernel>
+constexpr int path_trace_blocks = covers(kernel, Effects::alpha) ? 5 : trace_blocks;
+
+SVGF_HD inline OpacityClass opacity_class(const SceneView& scene, const Hit& hit) {
+    const std::uint8_t* const classes = scene.opacity[hit.instance];
+    return classes ? OpacityClass(classes[hit.leaf_triangle]) : OpacityClass::opaque;
+}
+
+// What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
+// neither.
+template <Effects kernel>
+SVGF_HD float surface_choice(const Sampler& sampler, int vertex, const Hit& hit) {
+    if constexpr (covers(kernel, Effects::alpha) || covers(kernel, Effects::material_mixes))
+        return sampler.at_triangle(SamplePair::surface, vertex, hit.instance, hit.triangle);
+    return 0.0f;
+}
+
+// Opacity of a cut-out.
+SVGF_HD SVGF_NOINLINE inline float find_cut_out_opacity(const SceneView& scene, Hit hit) {
+    const Instance& instance = scene.instances[hit.instance];
+    const MeshView& mesh = scene.meshes[instance.mesh];
+    const std::int32_t slot = mesh.triangles[hit.leaf_triangle].material_slot;
+    const Material& material = scene.materials[scene.material_table[instance.material_start + slot]];
+    if (material.alpha_map < 0) return material.alpha;
+    const MaterialMap& map = scene.material_maps[material.alpha_map];
+    return saturate(channel_of(sample_map(scene, mesh, map, hit), map.channel));
+}
+
+// Distances of the first surfaces that a ray passed, in no order.
+struct PassedDistances {
+    static constexpr int most = 8;
+    float t[most];
+};
+
+// What a path's ray passes.
+template <Effects kernel>
+struct PathPasses {
+    const SceneView& scene;
+    Sampler sampler;
+    int vertex;  // at which the ray ends
+    PassedDistances& distances;
+    int passed = 0;
+
+    SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
+        if constexpr (!covers(kernel, Effects::alpha)) return false;
+        const OpacityClass found = opacity_class(scene, hit);
+        if (found == OpacityClass::opaque || found == OpacityClass::shaded) return false;
+        if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
+        if (found == OpacityClass::cut_out &&
+            surface_choice<kernel>(sampler, vertex, hit) < find_cut_out_opacity(scene, hit))
+            return false;
+        if (passed < distances.most) distances.t[passed] = hit.t;
+        ++passed;
+        return true;
+    }
+};
+
+// The hit with the number of surfaces before it that the ray passed. Of more than `allowed`, the last one of them and
+// one more stops the ray.
+template <Effects kernel>
+SVGF_HD SVGF_NOINLINE Hit count_passed(const SceneView& scene, Ray ray, Sampler sampler, int vertex, int allowed,
+                                       Hit hit) {
+    Ray before = ray;
+    before.t_max = min(ray.t_max, hit.t);
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
+    Hit nearest;
+    traverse<true>(scene, before, nearest, passes);
+    hit.passed = min(passes.passed, allowed);
+    if (passes.passed <= allowed) return hit;
+    for (int i = 0; i <= allowed; ++i) {
+        nearest = find_closest_hit(scene, before);
+        before.t_min = nearest.t;
+    }
+    nearest.passed = allowed;
+    return nearest;
+}
+
+// The closest hit of a path's ray, with the surfaces before it that the ray passed. passes: all of them, some of which
+// may lie behind the hit.
+template <Effects kernel>
+SVGF_HD Hit finish_path_hit(const Ray& ray, int allowed, Hit hit, const PathPasses<kernel>& passes) {
+    if constexpr (covers(kernel, Effects::alpha)) {
+        for (int i = 0; i < min(passes.passed, passes.distances.most); ++i)
+            if (passes.distances.t[i] < hit.t) ++hit.passed;
+        if (passes.passed > passes.distances.most || hit.passed > allowed)
+            return count_passed<kernel>(passes.scene, ray, passes.sampler, passes.vertex, allowed, hit);
+    }
+    return hit;
+}
+
+// What a path's ray hits. vertex: its number there. allowed: surfaces that the ray may pass, >= 0.
+template <Effects kernel>
+SVGF_HD Hit find_path_hit(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex, int allowed) {
+    Hit hit;
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
+    traverse<false>(scene, ray, hit, passes);
+    return finish_path_hit(ray, allowed, hit, passes);
+}
+
+// The same where it is the exception: a call of its own.
+template <Effects kernel>
+SVGF_HD SVGF_NOINLINE Hit find_path_hit_apart(const SceneView& scene, Ray ray, Sampler sampler, int vertex, int allowed) {
+    return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
+}
+
+// What is kept of a path's ray of which only matters whether anything stops it.
+SVGF_HD inline Hit any_path_hit(const Ray& ray, bool found) {
+    Hit hit;
+    if (found) hit.t = ray.t_min, hit.instance = 0;
+    return hit;
+}
+
+// Whether anything stops a path's ray: a hit of which no more is known than that it was found.
+template <Effects kernel>
+SVGF_HD Hit find_any_path_hit(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex, int allowed) {
+    Hit unused;
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
+    return any_path_hit(ray, traverse<true>(scene, ray, unused, passes) || passes.passed > allowed);
+}
+
+// See find_transmittance.
+template <Effects kernel>
+SVGF_HD SVGF_NOINLINE Vec3 find_shaded_transmittance(const SceneView& scene, Hit hit, Vec3 view, float choice) {
+    return find_transmittance<kernel>(scene, hit, view, choice);
+}
+
+// What a shadow ray passes, and what is left of its light.
+template <Effects kernel>
+struct ShadowPasses {
+    const SceneView& scene;
+    Sampler sampler;
+    int vertex;  // from which the ray starts
+    Vec3 view;
+    int allowed;  // surfaces that it may still pass
+    // In double, so that the order of the factors does not show.
+    double left[3] = {1, 1, 1};
+
+    SVGF_HD Vec3 share() const { return {float(left[0]), float(left[1]), float(left[2])}; }
+
+    SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
+        if constexpr (!covers(kernel, Effects::alpha)) return false;
+        const OpacityClass found = opacity_class(scene, hit);
+        if (found == OpacityClass::opaque) return false;
+        if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
+        if (allowed-- <= 0) return false;
+        if (found == OpacityClass::clear) return true;
+        Vec3 share;
+        if (found == OpacityClass::cut_out) {
+            const float passing = 1.0f - find_cut_out_opacity(scene, hit);
+            share = {passing, passing, passing};
+        } else {
+            const float choice = sampler.at_triangle(SamplePair::shadow, vertex, hit.instance, hit.triangle);
+            share = find_shaded_transmittance<kernel>(scene, hit, view, choice);
+        }
+        left[0] *= share.x;
+        left[1] *= share.y;
+        left[2] *= share.z;
+        return left[0] > 0.0 || left[1] > 0.0 || left[2] > 0.0;
+    }
+};
+
+// What is left of light that goes straight on to the end of a shadow ray, which may pass `allowed` surfaces.
+template <Effects kernel>
+SVGF_HD Vec3 find_transmittance_along(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex,
+                                      int allowed) {
+    Hit unused;
+    ShadowPasses<kernel> passes{scene, sampler, vertex, -normalize(ray.direction), allowed};
+    return traverse<true>(scene, ray, unused, passes) ? Vec3{} : passes.share();
+}
+
+}  // namespace svgf
