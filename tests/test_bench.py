@@ -44,6 +44,11 @@ def test_bench_denoise(tmp_path: Path) -> None:
     for row in report["rows"]:
         assert row["milliseconds"] > 0.0 and row["bytes"] >= 4 * row["width"] * row["height"]
         assert row["bandwidth"] == pytest.approx(row["bytes"] / row["milliseconds"] / 1e6)
+    total = {(row["width"], row["signals"]): row["milliseconds"] for row in report["rows"] if "all" in row["stage"]}
+    assert len(report["growths"]) == 2
+    for row in report["growths"]:
+        assert (row["smaller"], row["larger"]) == ("40x24", "64x36") and row["pixels"] == 64 * 36 / (40 * 24)
+        assert row["milliseconds"] == total[64, row["signals"]] / total[40, row["signals"]]
     assert all(row["bytes_per_pixel"] * row["width"] * row["height"] == row["bytes"] for row in report["buffers"])
     assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
     assert_refused(run("bench", "denoise", "--device", "reference", *size), "Use cuda or cpu")

@@ -149,7 +149,7 @@ class Exporter:
             self._materials.forget(changes.materials)
         geometry = changes.geometry if changes is not None and last is not None else None
         now = self._snapshot(
-            depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space
+            depsgraph, render_size(depsgraph.scene_eval.render), "", camera, Findings(), geometry, space, waits=False
         )
         return self._scene(now, last)
 
@@ -184,7 +184,9 @@ class Exporter:
         findings: Findings,
         changed: Set[str] | None = None,
         space: bpy.types.SpaceView3D | None = None,
+        waits: bool = True,
     ) -> _Snapshot:
+        """waits: for what others compute."""
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
         _find_unsupported(scene, view_layer, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
@@ -193,7 +195,8 @@ class Exporter:
         placements = collect(depsgraph, self._meshes, materials, findings, space)
         materials.read(placements.uv_use())
         world = getattr(view_layer, "world_override", None) or scene.world
-        world, sky = export_world(world, self._textures, findings)
+        waits = waits or bpy.app.background
+        world, sky = export_world(world, self._textures, findings, self.should_stop if waits else None)
         textures = list(materials.textures)
         if sky is not None:
             world = replace(world, environment=len(textures))

@@ -23,6 +23,7 @@ UV = "uv:"
 DIRECTION = "direction"
 
 _MAGENTA = (1.0, 0.0, 1.0)
+_GREY = (0.5, 0.5, 0.5)
 _TABLE_SIZE = 256
 
 
@@ -36,16 +37,18 @@ class ValueReader:
         find_image: FindImage,
         uv_maps: Set[str] = frozenset(),
         is_world: bool = False,
+        sky: Callable[[bpy.types.Node], images.Image | str] | None = None,
     ) -> None:
         """find: takes sentences on what is not simulated. uv_maps: names that an Attribute node may ask for.
 
-        is_world: coordinates are directions, to be evaluated at {DIRECTION: unit vectors}.
+        is_world: coordinates are directions, to be evaluated at {DIRECTION: unit vectors}. sky: see ``sky_image``.
         """
         self._textures = textures
         self._find = find
         self._find_image = find_image
         self._uv_maps = uv_maps
         self._is_world = is_world
+        self._sky = sky
         self._known: dict[tuple, Expression | None] = {}
 
     def read(self, start: Place) -> Expression:
@@ -87,6 +90,15 @@ class ValueReader:
     def image(self, node: bpy.types.Node) -> images.Image | None:
         """Of an image node; None where there is none to read."""
         return self._textures.image(node, self._find, self._find_image)
+
+    def sky(self, node: bpy.types.Node) -> images.Image | None:
+        """Of a Sky Texture node; None where there is none."""
+        if self._sky is None:
+            return None
+        found = self._sky(node)
+        if isinstance(found, str):
+            self._find(f"the sky of {describe(node)} {found}; it is an even grey.")
+        return None if isinstance(found, str) else found
 
     def is_uv_map(self, name: str) -> bool:
         return name in self._uv_maps
@@ -230,6 +242,15 @@ def _environment(node: _Node) -> Expression | None:
         return constant(_MAGENTA)
     project = images.mirror_ball if node.rna.projection == "MIRROR_BALL" else images.equirectangular
     return apply(images.sample_color, apply(project, node.vector()), image=image)
+
+
+def _sky(node: _Node) -> Expression | None:
+    if not node.reader.is_world:
+        return None
+    image = node.reader.sky(node.rna)
+    if image is None:
+        return constant(_GREY)
+    return apply(images.sample_color, apply(images.equirectangular, node.vector()), image=image)
 
 
 def _noise(node: _Node) -> Expression:
@@ -454,6 +475,7 @@ _BUILDERS: dict[str, Callable[[_Node], Expression | None]] = {
     "TEX_IMAGE": _image_texture,
     "TEX_MAGIC": _magic,
     "TEX_NOISE": _noise,
+    "TEX_SKY": _sky,
     "TEX_VORONOI": _voronoi,
     "TEX_WAVE": _wave,
     "TEX_WHITE_NOISE": _white_noise,

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
+from functools import partial
 
 import bpy
 import numpy as np
@@ -14,6 +16,7 @@ from .evaluation.expression import Expression, apply, constant, coordinate, eval
 from .findings import Findings
 from .node_values import DIRECTION, ValueReader
 from .nodes import Place, describe, find_input, has_nodes, trace
+from .sky import sky_image
 from .textures import TextureCache
 from .visibility import ray_visibility
 
@@ -26,9 +29,15 @@ _baked: OrderedDict[tuple[bytes, int], Texture] = OrderedDict()
 
 
 def export_world(
-    world: bpy.types.World | None, textures: TextureCache, findings: Findings
+    world: bpy.types.World | None,
+    textures: TextureCache,
+    findings: Findings,
+    should_stop: Callable[[], bool] | None,
 ) -> tuple[World, Texture | None]:
-    """The world and its image, whose number the caller gives it. No world, or one without a surface, is black."""
+    """The world and its image, whose number the caller gives it. No world, or one without a surface, is black.
+
+    should_stop: see ``sky_image``.
+    """
     if world is None:
         return World(), None
     _find_unsupported(world, findings)
@@ -43,7 +52,11 @@ def export_world(
     if surface is None or not surface.is_output:
         return World(), None
     reader = ValueReader(
-        textures, lambda text: findings.add(world, text), lambda image, text: findings.add(image, text), is_world=True
+        textures,
+        lambda text: findings.add(world, text),
+        lambda image, text: findings.add(image, text),
+        is_world=True,
+        sky=partial(sky_image, should_stop=should_stop),
     )
     radiance = _radiance(surface, reader, world, findings)
     if radiance.value is not None:

@@ -388,7 +388,8 @@ Vec4 read_window(const nb::dict& images) {
     return {float(window[0]), float(window[1]), float(window[2]), float(window[3])};
 }
 
-nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream) {
+nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream,
+                 bool diagnostics) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -400,14 +401,34 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::op
     const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
     Buffer<float> variance(device, pixels, "the variance image"), history_length(device, pixels, "the history image");
+    std::vector<Buffer<float>> told;
+    DenoiseDiagnostics to_tell;
+    const std::pair<const char*, float**> tellable[] = {{"motion_error", &to_tell.motion_error},
+                                                        {"reset_reason", &to_tell.reset_reason},
+                                                        {"repaired_values", &to_tell.repaired_values},
+                                                        {"suppressed_light", &to_tell.suppressed_light}};
+    if (diagnostics)
+        for (const auto& [name, image] : tellable) *image = told.emplace_back(device, pixels, name).data();
     {
         nb::gil_scoped_release release;
-        denoiser.denoise(inputs, {color.data(), variance.data(), history_length.data()}, reset);
+        denoiser.denoise(inputs, {color.data(), variance.data(), history_length.data()}, reset,
+                         diagnostics ? &to_tell : nullptr);
     }
     nb::dict result;
+    for (size_t i = 0; i < told.size(); ++i)
+        result[tellable[i].first] = give_image(std::move(told[i]), width, height, 1);
     result["color"] = give_image(std::move(color), width, height, 3);
     result["variance"] = give_image(std::move(variance), width, height, 1);
     result["history_length"] = give_image(std::move(history_length), width, height, 1);
+    return result;
+}
+
+nb::dict host_images(const Denoiser& denoiser, HostImages&& images) {
+    nb::dict result;
+    for (auto& [name, image] : images) {
+        const size_t shape[3] = {size_t(denoiser.height()), size_t(denoiser.width()), size_t(image.channels)};
+        result[name.c_str()] = numpy_image(std::move(image.values), image.channels == 1 ? 2 : 3, shape);
+    }
     return result;
 }
 
@@ -419,12 +440,7 @@ nb::dict run_stage(Denoiser& denoiser, const std::string& stage, const nb::dict&
         images[nb::cast<std::string>(key)] = {array.ndim() == 3 ? int(array.shape(2)) : 1,
                                               {array.data(), array.data() + array.size()}};
     }
-    nb::dict result;
-    for (auto& [name, image] : denoiser.run_stage(stage, images, level)) {
-        const size_t shape[3] = {size_t(denoiser.height()), size_t(denoiser.width()), size_t(image.channels)};
-        result[name.c_str()] = numpy_image(std::move(image.values), image.channels == 1 ? 2 : 3, shape);
-    }
-    return result;
+    return host_images(denoiser, denoiser.run_stage(stage, images, level));
 }
 
 nb::list denoise_settings() {
@@ -463,6 +479,12 @@ NB_MODULE(SVGF_MODULE, module) {
         for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
         return kernels;
     }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame runs.");
+    module.def("reset_reasons", [] {
+        nb::dict result;
+        for (size_t i = 0; i < std::size(reset_reason_names); ++i)
+            result[nb::str(reset_reason_names[i].data(), reset_reason_names[i].size())] = int(i);
+        return result;
+    }, "Names and values of ResetReason in denoise/denoiser.h.");
     module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
@@ -548,7 +570,10 @@ NB_MODULE(SVGF_MODULE, module) {
             if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
-        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none())
+        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false)
+        .def("history_images", [](Denoiser& denoiser) {
+            return host_images(denoiser, denoiser.history_images());
+        }, "What the next frame starts from.")
         .def("set_settings", [](Denoiser& denoiser, const nb::dict& settings) {
             denoiser.set_settings(read_settings(settings));
         }, "settings"_a)

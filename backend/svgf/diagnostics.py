@@ -8,7 +8,7 @@ from enum import IntEnum
 
 class ResetReason(IntEnum):
     """Why a pixel has no history, as the kernel that looked for it found: of the nearest of the pixels in which its
-    surface was a frame ago. The same list as in backend/native/denoise/diagnose.h."""
+    surface was a frame ago. The same list as in backend/native/denoise/denoiser.h."""
 
     KEPT = 0  # it has
     BACKGROUND = 1  # there is no surface

@@ -218,6 +218,21 @@ def test_environment_image(room, tmp_path, projection):
     assert_same_picture(tmp_path, bias=0.02 if projection == "MIRROR_BALL" else 0.01)
 
 
+@pytest.mark.parametrize("model", ["PREETHAM", "SCATTERING"])
+def test_sky(room, tmp_path, model):
+    """A sky without a sun, and one with it."""
+    world = add_world(strength=0.1)
+    tree = world.node_tree
+    node = tree.nodes.new("ShaderNodeTexSky")
+    kinds = [kind.identifier for kind in type(node).bl_rna.properties["sky_type"].enum_items]
+    node.sky_type = model if model in kinds else next(k for k in kinds if k in ("MULTIPLE_SCATTERING", "NISHITA"))
+    node.sun_elevation, node.sun_rotation, node.sun_size = 0.6, 0.7, 0.05
+    background = next(node for node in tree.nodes if node.type == "BACKGROUND")
+    tree.links.new(node.outputs[0], background.inputs["Color"])
+    bpy.context.scene.cycles.max_bounces = 1
+    assert_same_picture(tmp_path, bias=0.01)
+
+
 def test_orthographic_camera(room, tmp_path):
     data = bpy.context.scene.camera.data
     data.type, data.ortho_scale, data.shift_x, data.shift_y = "ORTHO", 5.0, 0.1, -0.05

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import bpy
 import numpy as np
 import pytest
 from blend import add_image, add_light, add_mesh, add_world, export, validate
 from mathutils import Euler
+from svgf.errors import Interrupted
 from svgf.scene import LightKind, RayVisibility
+from svgf_blender.export import sky
 
 
 @pytest.fixture(autouse=True)
@@ -246,12 +250,57 @@ def test_ray_visibility_of_the_world():
     assert export().world.visibility == RayVisibility.ALL & ~RayVisibility.CAMERA
 
 
-def test_other_world_nodes_are_named():
-    world = add_world()
+def link_color(world, kind: str):
+    """A node in place of the world's colour."""
+    node = world.node_tree.nodes.new(kind)
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-    world.node_tree.links.new(world.node_tree.nodes.new("ShaderNodeTexSky").outputs[0], background.inputs["Color"])
+    world.node_tree.links.new(node.outputs[0], background.inputs["Color"])
+    return node
+
+
+def test_other_world_nodes_are_named():
+    link_color(add_world(), "ShaderNodeLightPath")
     (warning,) = export().warnings
-    assert warning.startswith('World "World": node "Sky Texture" (Sky Texture)')
+    assert warning.startswith('World "World": node "Light Path" (Light Path)')
+
+
+@pytest.fixture
+def program(monkeypatch, tmp_path):
+    """Writes the program that renders skies."""
+    monkeypatch.setattr(sky, "_skies", OrderedDict())
+    monkeypatch.setattr(sky, "_SCRIPT", tmp_path / "render_sky.py")
+    yield (tmp_path / "render_sky.py").write_text
+    if sky._job is not None:
+        sky._job.process.kill()
+        sky._job.process.wait()
+        assert sky._finish()
+
+
+def test_a_sky_that_cannot_be_rendered_is_named(program):
+    program("raise SystemExit('No Cycles here.')")
+    link_color(add_world(strength=2.0), "ShaderNodeTexSky")
+    scene = export()
+    assert scene.world.radiance == (1.0, 1.0, 1.0)
+    assert scene.warnings == (
+        'World "World": the sky of node "Sky Texture" (Sky Texture) could not be rendered (No Cycles here.); it is an '
+        "even grey.",
+    )
+
+
+def test_an_export_can_be_stopped_while_a_sky_is_rendered(program):
+    program("import time; time.sleep(60)")
+    node = link_color(add_world(), "ShaderNodeTexSky")
+    assert sky.sky_image(node, None) == "is still being rendered"
+    with pytest.raises(Interrupted):
+        sky.sky_image(node, lambda: True)
+
+
+def test_all_settings_decide_on_a_sky():
+    node = link_color(add_world(), "ShaderNodeTexSky")
+    before = sky.sky_settings(node)
+    assert sky.sky_settings(node) == before
+    node.sun_elevation = 0.5
+    assert sky.sky_settings(node) != before
 
 
 def test_lamps_are_instanced_and_hidden_like_objects():

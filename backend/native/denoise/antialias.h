@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "antialias" of svgf+: resolves over time what lies within a pixel, and lets a still view converge to the truth.
 //
-// Reads 3x3 pixels of the denoised frame and what it wrote a frame ago: the resolved colour, and the frames in it.
+// Reads 3x3 pixels of the filtered signals, modulated on the way, and what it wrote a frame ago: the resolved colour, and
+// the frames in it.
 // Where a sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter
 // makes of the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation
 // of the 3x3 pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3
@@ -17,7 +18,7 @@
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 #pragma once
 
-#include "denoise/demodulate.h"
+#include "denoise/modulate.h"
 #include "denoise/tiles.h"
 
 namespace svgf {
@@ -38,16 +39,22 @@ constexpr float black_log2 = -10.0f;
 template <class Storage, int Signals>
 struct Antialias : Tiles {
     using Tiles::height, Tiles::width;
-    static constexpr int blocks = 4;
+    static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
 
     struct Tile {
-        Vec4 color_depth[places];
-        float log_brightness[places];
+        Vec4 color[places];  // w: 0
+        float depth[places], log_brightness[places];
+    };
+    struct Texel {
+        typename Modulate<Storage, Signals>::Texel filtered;
+        float depth;
+        int own_pixel;  // -1 in the margin
     };
 
     NoisyFrame<Signals> frame;
+    Modulate<Storage, Signals> modulate;
     typename Storage::Guides guides;
-    typename Storage::Color in_color, hist_color;  // rgb and frames in the deviation's place
+    typename Storage::Color hist_color;  // rgb and frames in the deviation's place
     bool has_history;
     const float* in_motion;
     int motion_channels;
@@ -58,20 +65,31 @@ struct Antialias : Tiles {
     float* out_color;  // [H, W, 3]
 
     int bytes_per_pixel() const {
-        return Storage::guide_bytes + (has_history ? 3 : 2) * Storage::color_bytes +
-               (in_motion ? 4 * motion_channels : 0) + 12;
-    }
-    SVGF_HD int loads() const { return places; }
-
-    SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
-        const int pixel = guides.pixel(clamp(Tiles::x(tile_column, place), 0, guides.width - 1),
-                                       clamp(Tiles::y(tile_row, place), 0, guides.height - 1));
-        const Vec3 color = in_color[pixel].xyz();
-        tile.color_depth[place] = {color.x, color.y, color.z, guides.depth(pixel)};
-        tile.log_brightness[place] = fast_log2(max_component(color) + 1e-30f);
+        return modulate.read_bytes_per_pixel() + Storage::guide_bytes + (has_history ? 2 : 1) * Storage::color_bytes +
+               (in_motion ? 4 * motion_channels : 0) + 12 + 4;
     }
 
-    SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
+        const int x = Tiles::x(tile_column, place), y = Tiles::y(tile_row, place);
+        const int pixel = guides.nearest_pixel(x, y);
+        return {modulate.fetch(pixel), guides.depth(pixel), owns(tile_column, tile_row, x, y) ? pixel : -1};
+    }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
+        int repaired = 0;
+        float variance;
+        const Vec3 color = modulate.radiance(texel.filtered, variance, repaired);
+        if (texel.own_pixel >= 0) {
+            modulate.out_variance[texel.own_pixel] = variance;
+            count(modulate.out_repaired, repaired);
+        }
+        tile.color[place] = {color.x, color.y, color.z, 0.0f};
+        tile.depth[place] = texel.depth;
+        tile.log_brightness[place] = fast_log2(brightness(color) + 1e-30f);
+    }
+    struct Own {};
+    SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
+
+    SVGF_HD void operator()(const Tile& tile, Own, int tile_column, int tile_row, int thread_x, int thread_y) const {
         SVGF_NO_UNROLL
         for (int row = thread_y; row < rows; row += threads_y) {
             const int x = tile_column * columns + thread_x, y = tile_row * rows + row;
@@ -80,14 +98,16 @@ struct Antialias : Tiles {
     }
 
 private:
+    SVGF_HD static float brightness(Vec3 c) { return fast_max(c.x, fast_max(c.y, c.z)); }
+
     // The 3x3 pixels' mean and deviation, after map.
     struct Box {
         float white = 0.0f;
         Vec3 mean, deviation;
 
-        SVGF_HD Vec3 map(Vec3 c) const { return c * fast_reciprocal(white + max_component(c) + 1e-30f); }
+        SVGF_HD Vec3 map(Vec3 c) const { return c * fast_reciprocal(white + brightness(c) + 1e-30f); }
         SVGF_HD Vec3 unmap(Vec3 c) const {
-            return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - max_component(c), 1e-4f)));
+            return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - brightness(c), 1e-4f)));
         }
     };
     struct History {
@@ -97,7 +117,7 @@ private:
 
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
         const int pixel = guides.pixel(x, y);
-        const Vec3 own = tile.color_depth[place].xyz();
+        const Vec3 own = tile.color[place].xyz();
         const Vec3 motion = motion_of(front(tile, place, x, y));
         const float px = float(x) + motion.x, py = float(y) + motion.y;
         if (!has_history || !(px >= 0.0f && py >= 0.0f && px <= float(guides.width - 1) &&
@@ -118,7 +138,7 @@ private:
         float margin = 0.0f;
         if (settled) {
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
-            margin = still_margin + still_box * deviation / (box.white + max_component(own) + 1e-30f);
+            margin = still_margin + still_box * deviation / (box.white + brightness(own) + 1e-30f);
         }
         const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
         const Vec3 room = max(extent, 1e-30f);
@@ -147,17 +167,18 @@ private:
 
     // Pixel of the nearest of the 3x3 surfaces; of several the own one or else the first.
     SVGF_HD int front(const Tile& tile, int place, int x, int y) const {
-        float nearest = tile.color_depth[place].w;
-        int pixel = guides.pixel(x, y);
+        float nearest = tile.depth[place];
+        int offset = 0;
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
-            const float depth = tile.color_depth[place + neighbour(n)].w;
+            const float depth = tile.depth[place + neighbour(n)];
             if (depth >= nearest) continue;
             nearest = depth;
-            const int k = n < 4 ? n : n + 1;
-            pixel = guides.pixel(clamp(x + k % 3 - 1, 0, guides.width - 1), clamp(y + k / 3 - 1, 0, guides.height - 1));
+            offset = neighbour(n);
         }
-        return pixel;
+        // From a place in the tile to the pixel, which is inside: outside it is its border's depth that is there.
+        const int row = (offset + width + 1) / width - 1, column = offset - row * width;
+        return guides.nearest_pixel(x + column, y + row);
     }
 
     SVGF_HD Box look_around(const Tile& tile, int place) const {
@@ -172,11 +193,11 @@ private:
         for (int n = 0; n < neighbours; ++n) logarithms += fast_max(tile.log_brightness[place + neighbour(n)], least);
         box.white = fast_exp2(share * logarithms);
         Vec3 mapped[neighbours + 1];
-        mapped[neighbours] = box.map(tile.color_depth[place].xyz());
+        mapped[neighbours] = box.map(tile.color[place].xyz());
         box.mean = mapped[neighbours];
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
-            mapped[n] = box.map(tile.color_depth[place + neighbour(n)].xyz());
+            mapped[n] = box.map(tile.color[place + neighbour(n)].xyz());
             box.mean += mapped[n];
         }
         box.mean *= share;
@@ -237,7 +258,7 @@ private:
         int repaired_before = 0;
         float variance = 0.0f;
         for (int s = 0; s < Signals; ++s) {
-            const Vec3 albedo = signal_albedo(frame.in_albedo[s], pixel, repaired_before);
+            const Vec3 albedo = frame.in_albedo[s].at(pixel, repaired_before);
             variance += in_moments[s][pixel].y * square(luminance(albedo));
         }
         return variance;

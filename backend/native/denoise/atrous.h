@@ -89,12 +89,20 @@ struct Atrous {
     static constexpr int radius = Method::radius, rows_per_thread = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
-    static constexpr int blocks = 5 - Signals;  // as the registers allow; fastest on an H200
+    static constexpr int blocks = 5 - Signals, fetches = 3;  // as the registers allow; fastest on an H200
 
+    static constexpr int places = Lattice::width * Lattice::height;
     struct Tile {
-        static constexpr int places = Lattice::width * Lattice::height;
         Vec4 surface[places];  // normal, depth; depth is infinity where there is nothing to filter
         Vec4 color[Signals][places];
+    };
+    struct Texel {
+        typename Storage::Guides::Texel guide;
+        typename Storage::Color::Texel color[Signals];
+        bool is_inside;
+    };
+    struct Own {
+        Vec2 gradient[rows_per_thread];
     };
 
     typename Storage::Guides guides;
@@ -110,31 +118,44 @@ struct Atrous {
     }
     int tile_columns() const { return lattice.tile_columns(); }
     int tile_rows() const { return lattice.tile_rows(); }
-    SVGF_HD int loads() const { return Tile::places; }
 
-    SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
         const int row = place / Lattice::width, column = place % Lattice::width;
         const int x = lattice.x(tile_column, column), y = lattice.y(tile_row, row);
-        Vec4 surface = {0.0f, 0.0f, 0.0f, infinity}, color[Signals];
-        if (guides.contains(x, y)) {
-            const int pixel = guides.pixel(x, y);
-            surface = guides.normal_depth(pixel);
-            if (!is_surface(surface.w)) surface.w = infinity;
-            for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
-        }
+        const int pixel = guides.nearest_pixel(x, y);
+        Texel texel;
+        texel.is_inside = guides.contains(x, y);
+        texel.guide = guides.fetch(pixel);
+        for (int s = 0; s < Signals; ++s) texel.color[s] = in_color[s].fetch(pixel);
+        return texel;
+    }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
+        Vec4 surface = guides.normal_depth(texel.guide);
+        if (!texel.is_inside || !is_surface(surface.w)) surface.w = infinity;
         tile.surface[place] = surface;
-        for (int s = 0; s < Signals; ++s) tile.color[s][place] = color[s];
+        for (int s = 0; s < Signals; ++s) tile.color[s][place] = in_color[s].unpack(texel.color[s]);
+    }
+    SVGF_HD Own fetch_own(int tile_column, int tile_row, int thread_x, int thread_y) const {
+        const int x = lattice.x(tile_column, thread_x + Lattice::margin);
+        Own own;
+        SVGF_UNROLL
+        for (int p = 0; p < rows_per_thread; ++p)
+            own.gradient[p] =
+                gradients[guides.nearest_pixel(x, lattice.y(tile_row, thread_y * rows_per_thread + p + radius))];
+        return own;
     }
 
-    SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
+    SVGF_HD void operator()(const Tile& tile, const Own& own, int tile_column, int tile_row, int thread_x,
+                            int thread_y) const {
         const int column = thread_x + Lattice::margin, row = thread_y * rows_per_thread + radius;
-        const int x = lattice.x(tile_column, column), upper_y = lattice.y(tile_row, row),
-                  lower_y = lattice.y(tile_row, row + 1);
-        if (x >= guides.width || upper_y >= guides.height) return;
-        const int upper = row * Lattice::width + column, lower = upper + Lattice::below;
-        const bool has_lower = lower_y < guides.height;
-        Pixel pixels[rows_per_thread] = {{*this, tile, upper, x, upper_y},
-                                         {*this, tile, lower, x, has_lower ? lower_y : upper_y}};
+        const int x = lattice.x(tile_column, column);
+        if (!guides.contains(x, lattice.y(tile_row, row))) return;
+        const int upper = row * Lattice::width + column;
+        Pixel pixels[rows_per_thread];
+        SVGF_UNROLL
+        for (int p = 0; p < rows_per_thread; ++p)
+            pixels[p].begin(*this, tile, own.gradient[p], upper + p * Lattice::below, x,
+                            min(lattice.y(tile_row, row + p), guides.height - 1));
         SVGF_UNROLL
         for (int j = -radius; j < radius + rows_per_thread; ++j) {
             SVGF_UNROLL
@@ -154,8 +175,10 @@ struct Atrous {
                         pixels[p].add(i, j - p, surface, color, light);
             }
         }
-        pixels[0].finish(*this, tile, upper, guides.pixel(x, upper_y));
-        if (has_lower) pixels[1].finish(*this, tile, lower, guides.pixel(x, lower_y));
+        SVGF_UNROLL
+        for (int p = 0; p < rows_per_thread; ++p)
+            if (const int y = lattice.y(tile_row, row + p); y < guides.height)
+                pixels[p].finish(*this, tile, upper + p * Lattice::below, guides.pixel(x, y));
     }
 
 private:
@@ -166,9 +189,8 @@ private:
         float light[Signals], light_scale[Signals], weight[Signals];
         Vec4 sum[Signals];
 
-        SVGF_HD Pixel(const Atrous& stage, const Tile& tile, int place, int x, int y)
-            : edge(tile.surface[place], stage.gradients[stage.guides.pixel(x, y)], stage.sigma_depth,
-                   stage.sigma_normal) {
+        SVGF_HD void begin(const Atrous& stage, const Tile& tile, Vec2 gradient, int place, int x, int y) {
+            edge = {tile.surface[place], gradient, stage.sigma_depth, stage.sigma_normal};
             const float step = float(1 << stage.lattice.level);
             SVGF_UNROLL
             for (int j = 0; j <= radius; ++j)
@@ -263,6 +285,21 @@ struct StoreColor {
 
     SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
         for (int s = 0; s < Signals; ++s) out_color[s].store(pixel, color[s]);
+    }
+};
+
+// That of the last level of svgf+: history takes the squared luminance in the variance's place, see temporal_plus.h.
+template <class Storage, int Signals>
+struct StoreFiltered {
+    typename Storage::Color out_color[Signals], history[Signals];
+
+    int sink_bytes_per_pixel() const { return 3 * Signals * Storage::color_bytes; }
+
+    SVGF_HD void operator()(int pixel, const Vec4 (&color)[Signals]) const {
+        for (int s = 0; s < Signals; ++s) {
+            out_color[s].store(pixel, color[s]);
+            history[s].store_variance(pixel, square(luminance(color[s].xyz())));
+        }
     }
 };
 

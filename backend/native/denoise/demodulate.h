@@ -20,21 +20,38 @@ namespace svgf {
 // Below this albedo the division would turn noise into fireflies.
 constexpr float albedo_floor = 1e-3f;
 
-// The divisor of a signal: the sum of its albedos, 1 without any.
-SVGF_HD inline Vec3 signal_albedo(const float* const albedo[2], int pixel, int& repaired) {
-    if (!albedo[0] && !albedo[1]) return {1.0f, 1.0f, 1.0f};
-    Vec3 sum;
-    if (albedo[0]) sum += repair(load3(albedo[0], pixel), repaired);
-    if (albedo[1]) sum += repair(load3(albedo[1], pixel), repaired);
-    return max(sum, albedo_floor);
-}
+// The albedos of a signal, [H, W, 3], which are summed; null: not given.
+struct Albedo {
+    const float* images[2] = {};
+
+    struct Texel {
+        Vec3 values[2];
+    };
+    int bytes_per_pixel() const { return (images[0] ? 12 : 0) + (images[1] ? 12 : 0); }
+
+    SVGF_HD Texel fetch(int pixel) const {
+        Texel texel;
+        if (images[0]) texel.values[0] = load3(images[0], pixel);
+        if (images[1]) texel.values[1] = load3(images[1], pixel);
+        return texel;
+    }
+    // The signal's divisor: 1 without any albedo.
+    SVGF_HD Vec3 unpack(const Texel& texel, int& repaired) const {
+        if (!images[0] && !images[1]) return {1.0f, 1.0f, 1.0f};
+        Vec3 sum;
+        if (images[0]) sum = repair(texel.values[0], repaired);
+        if (images[1]) sum += repair(texel.values[1], repaired);
+        return {fast_max(sum.x, albedo_floor), fast_max(sum.y, albedo_floor), fast_max(sum.z, albedo_floor)};
+    }
+    SVGF_HD Vec3 at(int pixel, int& repaired) const { return unpack(fetch(pixel), repaired); }
+};
 
 // What the public images say of a pixel.
 template <int Signals>
 struct NoisyFrame {
     int width, height;
     const float* in_signal[Signals];
-    const float* in_albedo[Signals][2];
+    Albedo in_albedo[Signals];
     const float* in_normal;
     const float* in_depth;
     const float* in_depth_gradient;
@@ -42,23 +59,47 @@ struct NoisyFrame {
 
     int bytes_per_pixel() const {
         int bytes = 12 + 4 + (in_depth_gradient ? 8 : 0) + (in_object_id ? 4 : 0);
-        for (int s = 0; s < Signals; ++s) bytes += 12 + (in_albedo[s][0] ? 12 : 0) + (in_albedo[s][1] ? 12 : 0);
+        for (int s = 0; s < Signals; ++s) bytes += 12 + in_albedo[s].bytes_per_pixel();
         return bytes;
     }
 
-    SVGF_HD Vec3 illumination(int s, int pixel, int& repaired) const {
-        const Vec3 radiance = load3(in_signal[s], pixel), albedo = signal_albedo(in_albedo[s], pixel, repaired);
+    // As given.
+    struct Signal {
+        Vec3 radiance;
+        Albedo::Texel albedo;
+    };
+    struct Surface {
+        Vec3 normal;
+        float depth;
+        int32_t object_id;
+    };
+    SVGF_HD Signal fetch_signal(int s, int pixel) const {
+        return {load3(in_signal[s], pixel), in_albedo[s].fetch(pixel)};
+    }
+    SVGF_HD Surface fetch_surface(int pixel) const {
+        const float depth = in_depth[pixel];
+        return {load3(in_normal, pixel), depth, in_object_id ? in_object_id[pixel] : depth >= background_depth ? 0 : 1};
+    }
+
+    SVGF_HD Vec3 illumination(int s, const Signal& signal, int& repaired) const {
+        const Vec3 albedo = in_albedo[s].unpack(signal.albedo, repaired), radiance = signal.radiance;
         return repair({radiance.x * fast_reciprocal(albedo.x), radiance.y * fast_reciprocal(albedo.y),
                        radiance.z * fast_reciprocal(albedo.z)},
                       repaired);
     }
 
+    SVGF_HD Vec3 illumination(int s, int pixel, int& repaired) const {
+        return illumination(s, fetch_signal(s, pixel), repaired);
+    }
+
     // Normal and depth; the object id, 0 where there is no surface.
     SVGF_HD Vec4 surface(int x, int y, int32_t& object_id, int& repaired) const {
-        const int pixel = y * width + x;
-        const float depth = in_depth[pixel];
-        const Vec3 normal = load3(in_normal, pixel);
-        object_id = named_id(pixel, depth);
+        return surface(fetch_surface(y * width + x), object_id, repaired);
+    }
+    SVGF_HD static Vec4 surface(const Surface& given, int32_t& object_id, int& repaired) {
+        const Vec3 normal = given.normal;
+        const float depth = given.depth;
+        object_id = given.object_id;
         const bool good = is_good(normal, depth);
         if (object_id != 0 && !good) ++repaired;
         if (!good || !is_surface(depth)) object_id = 0;
@@ -76,10 +117,6 @@ struct NoisyFrame {
     }
 
 private:
-    SVGF_HD int32_t named_id(int pixel, float depth) const {
-        return in_object_id ? in_object_id[pixel] : depth >= background_depth ? 0 : 1;
-    }
-
     // Depth and normal are numbers. A surface without them is taken for background: nothing can be said about its
     // neighbours.
     SVGF_HD static bool is_good(Vec3 normal, float depth) {

@@ -8,6 +8,7 @@
 #include "denoise/antialias.h"
 #include "denoise/atrous.h"
 #include "denoise/demodulate.h"
+#include "denoise/diagnose.h"
 #include "denoise/modulate.h"
 #include "denoise/temporal.h"
 #include "denoise/temporal_plus.h"
@@ -51,6 +52,23 @@ struct Sequence {
 };
 template <class First, class Second>
 Sequence(First, Second) -> Sequence<First, Second>;
+
+// Hands on what there is, without a level that could.
+template <class Storage, int Signals>
+struct Pass {
+    FrameSize size;
+    typename Storage::Color in_color[Signals];
+    StoreFiltered<Storage, Signals> sink;
+
+    int bytes_per_pixel() const { return Signals * Storage::color_bytes + sink.sink_bytes_per_pixel(); }
+
+    SVGF_HD void operator()(int x, int y) const {
+        const int pixel = size.pixel(x, y);
+        Vec4 color[Signals];
+        for (int s = 0; s < Signals; ++s) color[s] = in_color[s][pixel];
+        sink(pixel, color);
+    }
+};
 
 }  // namespace
 
@@ -163,8 +181,11 @@ typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
     return {memory.data() + signal * pixels() * Storage::moments_bytes};
 }
 
-void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset) {
+void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,
+                       const DenoiseDiagnostics* diagnostics) {
     prepare(inputs.signals);
+    diagnostics_ = diagnostics;
+    if (diagnostics) device_.clear(diagnostics->suppressed_light, pixels() * sizeof(float));
     if (reset || inputs.signals != signals_) has_history_ = false;
     signals_ = inputs.signals;
     try {
@@ -173,8 +194,10 @@ void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& output
         });
     } catch (...) {
         has_history_ = false;  // the memory holds half a frame
+        diagnostics_ = nullptr;
         throw;
     }
+    diagnostics_ = nullptr;
 }
 
 void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
@@ -214,6 +237,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
         const auto demodulate_stage = demodulate<Storage, Signals>(inputs);
         if (is_temporal()) {
             launch("demodulate+temporal", Sequence{demodulate_stage, temporal<Storage, Signals>(inputs)});
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             variance<Method, Signals>();
             for (int level = 0; level < levels(); ++level) {
                 const Place next = level == 0 ? Place::history : level % 2 ? Place::scratch : Place::working;
@@ -228,6 +252,7 @@ void Denoiser::run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
             has_history_ = true;
         } else {
             launch("demodulate", demodulate_stage);
+            if (diagnostics_) diagnose<Storage, Signals>(inputs);
             for (int level = 0; level < levels(); ++level) {
                 const Place next = place == Place::working ? Place::scratch : Place::working;
                 edge_avoiding<Signals>(level, inputs.window, place, next);
@@ -242,30 +267,35 @@ template <int Signals>
 void Denoiser::run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs) {
     using Storage = Plus::Storage;
     temporal_plus<Signals>(inputs, outputs.history_length);
-    Place place = Place::history;
+    if (diagnostics_) diagnose<Storage, Signals>(inputs);
+    // The last level ends in scratch, as working lies in the image that the last stage writes. It writes to history,
+    // too, so the first one, which reads it, cannot be the last.
     const int last = levels() - 1;
-    const bool antialiases = settings_.antialias_frames > 1.0f;
-    // The last level writes into history and, for antialias, into scratch, else into the caller's image, which is
-    // working: it reads the other one.
-    const Place read_last = antialiases ? Place::working : Place::scratch;
-    const Place written_last = antialiases ? Place::scratch : Place::working;
+    Place place = Place::history;
     for (int level = 0; level < max(last, min(levels(), 1)); ++level) {
-        const Place next = last == level || (last - level) % 2 ? read_last : written_last;
+        const Place next = last == level || (last - level) % 2 ? Place::working : Place::scratch;
         atrous<Plus, Signals>(level, place, next);
         place = next;
     }
-    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, place);
-    modulate_stage.out_history_length = nullptr;
-    for (int s = 0; s < Signals; ++s) modulate_stage.out_filtered_light[s] = color_of<Storage>(Place::history, s);
-    if (antialiases) {
-        modulate_stage.out_color = nullptr;
-        modulate_stage.out_unresolved = color_of<Storage>(written_last, 0);
+    StoreFiltered<Storage, Signals> filtered;
+    for (int s = 0; s < Signals; ++s) {
+        filtered.out_color[s] = color_of<Storage>(Place::scratch, s);
+        filtered.history[s] = color_of<Storage>(Place::history, s);
     }
-    if (last >= 1)
-        atrous<Plus, Signals>("atrous+modulate", last, place, modulate_stage);
+    if (last >= 1) {
+        atrous<Plus, Signals>("atrous", last, place, filtered);
+    } else {
+        Pass<Storage, Signals> stage{{width_, height_}, {}, filtered};
+        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(place, s);
+        launch("atrous none", stage);
+    }
+    auto modulate_stage = modulate<Storage, Signals>(inputs, outputs, Place::scratch);
+    modulate_stage.out_history_length = nullptr;
+    const bool antialiases = settings_.antialias_frames > 1.0f;
+    if (antialiases)
+        antialias(inputs, modulate_stage);
     else
         launch("modulate", modulate_stage);
-    if (antialiases) antialias<Signals>(inputs, outputs.color);
     has_resolved_ = antialiases;
     moments_.swap(previous_moments_);
     guides_.swap(previous_guides_);
@@ -279,7 +309,7 @@ NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
     frame.height = height_;
     for (int s = 0; s < Signals; ++s) {
         frame.in_signal[s] = inputs.signal[s];
-        for (int i = 0; i < 2; ++i) frame.in_albedo[s][i] = inputs.albedo[s][i];
+        frame.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
     }
     frame.in_normal = inputs.normal;
     frame.in_depth = inputs.depth;
@@ -349,6 +379,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.change_threshold = settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
+    stage.out_suppressed_light = diagnostics_ ? diagnostics_->suppressed_light : nullptr;
     for (int s = 0; s < Signals; ++s) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
         stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
@@ -364,14 +395,14 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
 
 // From scratch to the caller's image and, in place of the guides of the frame before, the next resolved colour.
 template <int Signals>
-void Denoiser::antialias(const DenoiseInputs& inputs, float* color) {
-    using Storage = Plus::Storage;
+void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStorage, Signals>& modulate) {
+    using Storage = PackedStorage;
     Antialias<Storage, Signals> stage;
     stage.image_width = width_;
     stage.image_height = height_;
     stage.frame = noisy_frame<Signals>(inputs);
     stage.guides = guides_of<Storage>(guides_);
-    stage.in_color = color_of<Storage>(Place::scratch, 0);
+    stage.modulate = modulate;
     stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
     stage.in_motion = inputs.motion;
@@ -380,8 +411,8 @@ void Denoiser::antialias(const DenoiseInputs& inputs, float* color) {
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
     stage.out_history = {previous_guides_.data()};
-    stage.out_color = color;
-    launch_tiles("antialias", stage);
+    stage.out_color = modulate.out_color;
+    launch_tiles("modulate+antialias", stage);
     resolved_.swap(previous_guides_);
 }
 
@@ -460,9 +491,50 @@ Modulate<Storage, Signals> Denoiser::modulate(const DenoiseInputs& inputs, const
     stage.out_repaired = repaired_.data();
     for (int s = 0; s < Signals; ++s) {
         stage.in_color[s] = color_of<Storage>(from, s);
-        for (int i = 0; i < 2; ++i) stage.in_albedo[s][i] = inputs.albedo[s][i];
+        stage.in_albedo[s] = {{inputs.albedo[s][0], inputs.albedo[s][1]}};
     }
     return stage;
+}
+
+// After temporal, before the guides of the frame before are overwritten.
+template <class Storage, int Signals>
+void Denoiser::diagnose(const DenoiseInputs& inputs) {
+    Diagnose<Storage, Signals> stage;
+    stage.frame = noisy_frame<Signals>(inputs);
+    stage.in_emission = inputs.emission;
+    stage.guides = guides_of<Storage>(guides_);
+    stage.gradients = gradients<Storage>();
+    if (is_temporal()) stage.reprojection = reprojection<Storage>(inputs);
+    for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
+    stage.pixel_size = (inputs.window.y - inputs.window.x) / float(width_);
+    stage.out_motion_error = diagnostics_->motion_error;
+    stage.out_reset_reason = diagnostics_->reset_reason;
+    stage.out_repaired_values = diagnostics_->repaired_values;
+    launch("diagnose", stage);
+}
+
+HostImages Denoiser::history_images() {
+    HostImages result;
+    if (!has_history_) return result;
+    with_method([&]<class Method>() {
+        using Storage = typename Method::Storage;
+        const std::vector<std::byte> colors = history_.download(), moments = previous_moments_.download();
+        for (int s = 0; s < signals_; ++s) {
+            const typename Storage::Color color{const_cast<std::byte*>(&colors[s * pixels() * Storage::color_bytes])};
+            HostImage& mean = result[std::string("color") + signal_suffix[s]] = {3, {}};
+            for (size_t i = 0; i < pixels(); ++i) {
+                const Vec4 c = color[int(i)];
+                mean.values.insert(mean.values.end(), {c.x, c.y, c.z});
+            }
+            if constexpr (std::is_same_v<Method, Plus>) {
+                const typename Storage::Moments known{
+                    const_cast<std::byte*>(&moments[s * pixels() * Storage::moments_bytes])};
+                HostImage& frames = result[std::string("frames") + signal_suffix[s]] = {1, {}};
+                for (size_t i = 0; i < pixels(); ++i) frames.values.push_back(known[int(i)].x);
+            }
+        }
+    });
+    return result;
 }
 
 int Denoiser::repaired() const { return repaired_.download()[0]; }

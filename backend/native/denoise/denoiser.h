@@ -2,16 +2,16 @@
 // The denoiser: owns the buffers and the order of the stages.
 //
 //   method   stages
-//   svgf+    temporal (which demodulates) -> atrous x levels -> modulate -> antialias     ours
+//   svgf+    demodulate+temporal -> atrous x levels -> modulate+antialias           ours
 //   svgf     demodulate -> temporal -> variance -> atrous x levels -> modulate      [Schied17]
 //   eaw      demodulate -> atrous x levels -> modulate                              [Dammertz10]
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
-// svgf+ works in packed images (storage.h), and its last level hands its result to modulate without a detour through
-// memory. What has been read serves again: the history of the frame before as scratch between the levels and for the
-// picture that antialias resolves, the guides of the frame before for the resolved picture, and until they are written
-// the caller's colour and variance images for colour between the levels and for the depth gradients.
+// svgf+ works in packed images (storage.h); its first and its last stage are two in one launch. What has been read serves
+// again: the history of the frame before for colour between the levels, the guides of the frame before for the resolved
+// picture, and until they are written the caller's colour image for colour between the levels and the caller's variance
+// image for the depth gradients.
 #pragma once
 
 #include <cstdint>
@@ -71,6 +71,23 @@ struct DenoiseOutputs {
     float* history_length = nullptr;  // [H, W] frames in the temporal mean; 1 unless svgf, 0 on the background
 };
 
+// Why a pixel has no history, of the nearest of the pixels in which its surface was a frame ago. Mirrored by
+// svgf/diagnostics.py, where the reasons are explained.
+enum class ResetReason {
+    kept, background, restarted, bad_motion, outside, other_object, other_depth, other_normal, light_changed
+};
+inline constexpr std::string_view reset_reason_names[] = {
+    "kept", "background", "restarted", "bad_motion", "outside", "other_object", "other_depth", "other_normal",
+    "light_changed"};
+
+// What else a frame can tell: float32 images [H, W] on the device, owned by the caller.
+struct DenoiseDiagnostics {
+    float* motion_error = nullptr;      // pixels by which the motion misses the surface that it should lead to
+    float* reset_reason = nullptr;      // ResetReason
+    float* repaired_values = nullptr;   // of the pixel's inputs
+    float* suppressed_light = nullptr;  // svgf+: luminance over albedo above the firefly limit, of all signals
+};
+
 // An image on the host for run_stage: [H, W, channels] as floats (object ids are exact below 2^24).
 struct HostImage {
     int channels = 1;
@@ -90,6 +107,7 @@ struct BufferInfo {
     size_t bytes;
 };
 
+struct PackedStorage;
 template <int Signals> struct NoisyFrame;
 template <class Storage, int Signals> struct Demodulate;
 template <class Storage, int Signals> struct Temporal;
@@ -104,8 +122,14 @@ public:
     // Allocates what so many signals need; a frame with more than all before does it, too.
     void prepare(int signals);
 
-    // One frame. reset forgets the history first, as does another number of signals than last frame's.
-    void denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset);
+    // One frame. reset forgets the history first, as does another number of signals than last frame's. diagnostics:
+    // null where nobody asks for them.
+    void denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,
+                 const DenoiseDiagnostics* diagnostics = nullptr);
+
+    // What the next frame starts from: per signal the temporal mean "color0" and, of svgf+, the "frames0" in it. Empty
+    // without history. Waits for the device.
+    HostImages history_images();
 
     // Takes effect at the next frame, history stays.
     void set_settings(const DenoiseSettings& settings) { settings_ = settings; }
@@ -167,7 +191,9 @@ private:
     template <class Storage> Reprojection<Storage> reprojection(const DenoiseInputs& inputs);
     template <class Storage, int Signals> Temporal<Storage, Signals> temporal(const DenoiseInputs& inputs);
     template <int Signals> void temporal_plus(const DenoiseInputs& inputs, float* history_length);
-    template <int Signals> void antialias(const DenoiseInputs& inputs, float* color);
+    template <class Storage, int Signals> void diagnose(const DenoiseInputs& inputs);
+    template <int Signals>
+    void antialias(const DenoiseInputs& inputs, const Modulate<PackedStorage, Signals>& modulate);
     template <class Method, int Signals> void variance();
     template <class Method, int Signals, class Sink>
     void atrous(const char* name, int level, Place from, const Sink& sink);
@@ -194,6 +220,7 @@ private:
     Memory next_history_;                 // svgf+: temporal writes it while it reads history_
     Memory resolved_;                     // svgf+: what antialias has written
     bool has_resolved_ = false;
+    const DenoiseDiagnostics* diagnostics_ = nullptr;  // during a frame that was asked for them
     std::byte* borrowed_working_[max_signals] = {};  // svgf+, during a frame: memory that is another's
     std::byte* borrowed_gradients_ = nullptr;
     Buffer<int> repaired_;

@@ -67,8 +67,9 @@ constexpr float log2_e = 1.44269504088896341f, ln_2 = 0.693147180559945309f;
 //   CosineLobe    exp(sigma (cosine - 1)), the same to second order where it is not small, and three multiply-adds
 struct CosinePower {
     Vec3 normal;
-    float sigma;
+    float sigma = 0.0f;
 
+    CosinePower() = default;
     SVGF_HD CosinePower(Vec3 normal, float sigma) : normal(normal), sigma(sigma) {}
     SVGF_HD float operator()(Vec3 tap, float kernel_log2) const {
         return sigma * fast_log2(max(dot(normal, tap), 0.0f)) + kernel_log2;
@@ -77,8 +78,9 @@ struct CosinePower {
 
 struct CosineLobe {
     Vec3 scaled_normal;
-    float offset;
+    float offset = 0.0f;
 
+    CosineLobe() = default;
     SVGF_HD CosineLobe(Vec3 normal, float sigma) : scaled_normal(normal * (sigma * log2_e)), offset(-sigma * log2_e) {}
     SVGF_HD float operator()(Vec3 tap, float kernel_log2) const {
         return scaled_normal.x * tap.x +
@@ -89,9 +91,10 @@ struct CosineLobe {
 template <class Normal>
 struct EdgeWeight {
     Normal normal;
-    float depth, tolerance;
+    float depth = 0.0f, tolerance = 0.0f;
     Vec2 slope;
 
+    EdgeWeight() = default;
     SVGF_HD EdgeWeight(Vec4 normal_depth, Vec2 gradient, float sigma_depth, float sigma_normal)
         : normal(normal_depth.xyz(), sigma_normal), depth(normal_depth.w),
           tolerance((depth_epsilon * depth + 1e-30f) * ln_2), slope((sigma_depth * ln_2) * gradient) {}

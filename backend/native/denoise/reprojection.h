@@ -105,18 +105,29 @@ struct Reprojection {
         }
     }
 
+    // A surface with the one that a pixel of the frame before saw.
+    struct Comparison {
+        bool same_object;
+        float cosine;       // between the normals
+        float depth_error;  // of the surface's plane, continued to the pixel
+    };
+    // (x, y) lies inside the frame.
+    SVGF_HD Comparison compare(int x, int y, const Point& point) const {
+        int32_t object_id;
+        const Vec4 tap = prev_guides.read(prev_guides.pixel(x, y), object_id);
+        const float plane =
+            point.expected_depth + point.slope.x * (float(x) - point.x) + point.slope.y * (float(y) - point.y);
+        return {object_id == point.object_id, dot(tap.xyz(), point.normal), tap.w - plane};
+    }
+
 private:
     // A bilinear tap can lie inside the frame. Also keeps huge motion from overflowing the integers.
     SVGF_HD static bool is_between(float position, int size) { return position > -1.0f && position < float(size); }
 
     SVGF_HD bool accepts(int x, int y, const Point& point) const {
         if (!prev_guides.contains(x, y)) return false;
-        int32_t object_id;
-        const Vec4 tap = prev_guides.read(prev_guides.pixel(x, y), object_id);
-        const float plane =
-            point.expected_depth + point.slope.x * (float(x) - point.x) + point.slope.y * (float(y) - point.y);
-        return object_id == point.object_id && dot(tap.xyz(), point.normal) >= normal_tolerance &&
-               std::fabs(tap.w - plane) <= point.tolerance;
+        const Comparison tap = compare(x, y, point);
+        return tap.same_object && tap.cosine >= normal_tolerance && std::fabs(tap.depth_error) <= point.tolerance;
     }
 };
 

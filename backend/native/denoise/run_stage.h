@@ -286,7 +286,10 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
     } else if (stage == "antialias") {
         if constexpr (plus) {
             upload_guides("", guides_, "");
+            // The picture is that of the first signal, without an albedo.
+            const HostImage none{3, std::vector<float>(3 * pixels)};
             upload_color(Place::scratch, 0, image("unresolved", 3), nullptr);
+            if (Signals == 2) upload_color(Place::scratch, 1, none, nullptr);
             for (int s = 0; s < Signals; ++s)
                 upload_moments(moments_, s, image(numbered("moments", s), moments_channels));
             // The resolved picture lies in memory of its own, and passes through working.
@@ -298,7 +301,9 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
                 device_.copy(resolved_.data(), own_working.data(), resolved_.bytes());
             }
             Buffer<float> color(device_, 3 * pixels, "color");
-            antialias<Signals>(inputs, color.data());
+            Buffer<float> spread(device_, pixels, "variance");
+            DenoiseInputs picture;
+            antialias(inputs, modulate<Storage, Signals>(picture, {color.data(), spread.data()}, Place::scratch));
             result["color"] = {3, color.download()};
             device_.copy(own_working.data(), resolved_.data(), resolved_.bytes());
             HostImage& frames = result["resolved_frames"];

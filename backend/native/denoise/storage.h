@@ -8,6 +8,8 @@
 // Guides are what the stages know of the surfaces behind the pixels, and what the next frame finds its history by.
 // Where there is no surface, depth is background_depth or more, the object id 0 and the rest 0 or of no meaning.
 // Gradients are those of depth per pixel; a frame's own alone are ever read.
+//
+// fetch() reads a texel as it is stored; what needs it as numbers unpacks it later.
 #pragma once
 
 #include "core/approximate.h"
@@ -23,6 +25,10 @@ struct FrameSize {
 
     SVGF_HD bool contains(int x, int y) const { return x >= 0 && x < width && y >= 0 && y < height; }
     SVGF_HD int pixel(int x, int y) const { return y * width + x; }
+    // Inside, for any x and y.
+    SVGF_HD int nearest_pixel(int x, int y) const {
+        return pixel(clamp(x, 0, width - 1), clamp(y, 0, height - 1));
+    }
 };
 
 struct FloatStorage {
@@ -37,7 +43,10 @@ struct FloatStorage {
               object_id_(reinterpret_cast<int32_t*>(normal_depth_ + size_t(width) * height)),
               length_(reinterpret_cast<float*>(object_id_ + size_t(width) * height)) {}
 
+        using Texel = Vec4;
         SVGF_HD explicit operator bool() const { return normal_depth_ != nullptr; }
+        SVGF_HD Texel fetch(int pixel) const { return normal_depth_[pixel]; }
+        SVGF_HD static Vec4 normal_depth(const Texel& texel) { return texel; }
         SVGF_HD Vec4 normal_depth(int pixel) const { return normal_depth_[pixel]; }
         SVGF_HD float depth(int pixel) const { return normal_depth_[pixel].w; }
         // Normal and depth.
@@ -79,6 +88,9 @@ struct FloatStorage {
 
         Color() = default;
         Color(void* memory) : texels(static_cast<Vec4*>(memory)) {}
+        using Texel = Vec4;
+        SVGF_HD Texel fetch(int pixel) const { return texels[pixel]; }
+        SVGF_HD static Vec4 unpack(const Texel& texel) { return texel; }
         SVGF_HD Vec4 operator[](int pixel) const { return texels[pixel]; }
         SVGF_HD float variance(int pixel) const { return texels[pixel].w; }
         SVGF_HD void store(int pixel, Vec4 color) const { texels[pixel] = color; }
@@ -113,23 +125,24 @@ struct PackedStorage {
         Guides(void* memory, int width, int height)
             : FrameSize{width, height}, texels_(static_cast<Guide*>(memory)) {}
 
+        using Texel = Guide;
         SVGF_HD explicit operator bool() const { return texels_ != nullptr; }
-        SVGF_HD Vec4 normal_depth(int pixel) const {
-            int32_t object_id;
-            return read(pixel, object_id);
+        SVGF_HD Texel fetch(int pixel) const { return texels_[pixel]; }
+        SVGF_HD static Vec4 normal_depth(const Texel& texel) {
+            const Vec3 n = decode_normal<12>(texel.normal_id);
+            return {n.x, n.y, n.z, decode_positive<17>(texel.depth_id & 0xffffffu)};
         }
+        SVGF_HD Vec4 normal_depth(int pixel) const { return normal_depth(fetch(pixel)); }
         SVGF_HD float depth(int pixel) const { return decode_positive<17>(texels_[pixel].depth_id & 0xffffffu); }
-        SVGF_HD int32_t object_id(int pixel) const {
-            int32_t object_id;
-            read(pixel, object_id);
-            return object_id;
+        SVGF_HD int32_t object_id(int pixel) const { return object_id(fetch(pixel)); }
+        SVGF_HD static int32_t object_id(const Texel& texel) {
+            return int32_t(texel.normal_id >> 24 | texel.depth_id >> 24 << 8);
         }
         // Normal and depth.
         SVGF_HD Vec4 read(int pixel, int32_t& object_id) const {
-            const Guide guide = texels_[pixel];
-            object_id = int32_t(guide.normal_id >> 24 | guide.depth_id >> 24 << 8);
-            const Vec3 n = decode_normal<12>(guide.normal_id);
-            return {n.x, n.y, n.z, decode_positive<17>(guide.depth_id & 0xffffffu)};
+            const Texel texel = fetch(pixel);
+            object_id = Guides::object_id(texel);
+            return normal_depth(texel);
         }
 
         SVGF_HD void store(int pixel, Vec4 normal_depth, int32_t object_id) const {
@@ -179,18 +192,20 @@ struct PackedStorage {
 
         Color() = default;
         Color(void* memory) : texels(static_cast<PackedColor*>(memory)) {}
-        SVGF_HD Vec4 operator[](int pixel) const {
-            const PackedColor packed = texels[pixel];
-            const Vec3 c = decode_color(packed);
-            return {c.x, c.y, c.z, square(decode_deviation(packed))};
+        using Texel = PackedColor;
+        SVGF_HD Texel fetch(int pixel) const { return texels[pixel]; }
+        SVGF_HD static Vec4 unpack(const Texel& texel) {
+            const Vec3 c = decode_color(texel);
+            return {c.x, c.y, c.z, square(decode_deviation(texel))};
         }
+        SVGF_HD Vec4 operator[](int pixel) const { return unpack(texels[pixel]); }
         SVGF_HD float variance(int pixel) const { return square(decode_deviation(texels[pixel])); }
         SVGF_HD void store(int pixel, Vec4 color) const {
             texels[pixel] = encode_color(color.xyz(), fast_sqrt(color.w));
         }
         SVGF_HD void store_variance(int pixel, float variance) const {
             PackedColor& texel = texels[pixel];
-            texel.high = (texel.high & ~(0x7fffu << 14)) | encode_positive<8>(fast_sqrt(variance)) << 14;
+            texel.high = (texel.high & 0x1ffffu) | encode_positive<8>(fast_sqrt(variance)) << 17;
         }
     };
 
@@ -209,14 +224,16 @@ struct PackedStorage {
             return {float_from_bits(((packed & 0xfffu) << 15) + (127u << 23)) - 1.0f,
                     float_from_bits((packed >> 12 & 0xfffu) << 19), drift(pixel), has_changed(pixel) ? 1.0f : 0.0f};
         }
-        SVGF_HD float drift(int pixel) const { return float(int32_t(texels[pixel]) >> 25) * (1.0f / 16.0f); }
+        static constexpr float drift_step = 1.0f / 16.0f;
+        SVGF_HD int drift_steps(int pixel) const { return int32_t(texels[pixel]) >> 25; }
+        SVGF_HD float drift(int pixel) const { return float(drift_steps(pixel)) * drift_step; }
         SVGF_HD bool has_changed(int pixel) const { return texels[pixel] >> 24 & 1u; }
         SVGF_HD void store(int pixel, Vec4 moments) const {
             uint32_t hash = bits_of(moments.y) ^ (bits_of(moments.z) + uint32_t(pixel)) * 0x9e3779b1u;
             hash = (hash ^ hash >> 15) * 0x85ebca6bu;
             hash ^= hash >> 13;
             const uint32_t frames = bits_of(min(moments.x, 65000.0f) + 1.0f) + (hash & 0x7fffu) - (127u << 23);
-            const int drift = int(std::floor(clamp(moments.z, -4.0f, 3.9f) * 16.0f + 0.5f));
+            const int drift = int(std::floor(clamp(moments.z, -4.0f, 3.9f) / drift_step + 0.5f));
             const uint32_t variance = bits_of(min(moments.y, 0x1p126f)) + (hash >> 13);
             texels[pixel] = frames >> 15 | variance >> 19 << 12 | (moments.w > 0.5f ? 1u << 24 : 0u) |
                             uint32_t(drift) << 25;

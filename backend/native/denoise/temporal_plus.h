@@ -54,12 +54,18 @@ constexpr float neighbour_share = 0.1f;
 template <class Storage, int Signals>
 struct TemporalPlus : Tiles {
     using Tiles::height, Tiles::width;
-    static constexpr int blocks = 4;
+    static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
 
     struct Tile {
         Vec4 surface[places];         // normal, depth
         Vec4 color[Signals][places];  // illumination, luminance
+        float light[Signals][places];  // the luminance again, for when it alone is read
         int32_t object_id[places];    // 0: no surface
+    };
+    struct Texel {
+        typename NoisyFrame<Signals>::Surface surface;
+        typename NoisyFrame<Signals>::Signal signal[Signals];
+        bool is_inside, is_own;  // of the image, of the tile
     };
 
     NoisyFrame<Signals> frame;
@@ -76,32 +82,41 @@ struct TemporalPlus : Tiles {
     float* out_history_length;  // [H, W] frames, of the signal that has the fewest
     int* out_repaired;
     FireflyCount* out_fireflies;
+    float* out_suppressed_light;  // [H, W] see DenoiseDiagnostics; null: nobody asks
 
     int bytes_per_pixel() const {
         const int signal = Signals * (Storage::color_bytes + Storage::moments_bytes);
         return frame.bytes_per_pixel() + reprojection.bytes_per_pixel() + (reprojection.prev_guides ? 2 : 1) * signal +
                Storage::guide_bytes + Storage::gradient_bytes + 4;
     }
-    SVGF_HD int loads() const { return places; }
 
-    SVGF_HD void load(Tile& tile, int tile_column, int tile_row, int place) const {
+    SVGF_HD Texel fetch(int tile_column, int tile_row, int place) const {
         const int x = Tiles::x(tile_column, place), y = Tiles::y(tile_row, place);
-        Vec4 surface;
-        int32_t id = 0;
-        int repaired = 0;
-        if (out_guides.contains(x, y)) {
-            surface = frame.surface(x, y, id, repaired);
-            for (int s = 0; s < Signals; ++s) {
-                const Vec3 c = frame.illumination(s, out_guides.pixel(x, y), repaired);
-                tile.color[s][place] = {c.x, c.y, c.z, luminance(c)};
-            }
-            if (repaired > 0 && owns(tile_column, tile_row, x, y)) count(out_repaired, repaired);
-        }
-        tile.surface[place] = surface;
-        tile.object_id[place] = id;
+        const int pixel = out_guides.nearest_pixel(x, y);
+        Texel texel;
+        texel.surface = frame.fetch_surface(pixel);
+        for (int s = 0; s < Signals; ++s) texel.signal[s] = frame.fetch_signal(s, pixel);
+        texel.is_inside = out_guides.contains(x, y);
+        texel.is_own = owns(tile_column, tile_row, x, y);
+        return texel;
     }
+    SVGF_HD void put(Tile& tile, int place, const Texel& texel) const {
+        int repaired = 0;
+        int32_t id;
+        tile.surface[place] = frame.surface(texel.surface, id, repaired);
+        tile.object_id[place] = texel.is_inside ? id : 0;
+        for (int s = 0; s < Signals; ++s) {
+            const Vec3 c = frame.illumination(s, texel.signal[s], repaired);
+            const float light = luminance(c);
+            tile.color[s][place] = {c.x, c.y, c.z, light};
+            tile.light[s][place] = light;
+        }
+        if (texel.is_own) count(out_repaired, repaired);
+    }
+    struct Own {};
+    SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
 
-    SVGF_HD void operator()(const Tile& tile, int tile_column, int tile_row, int thread_x, int thread_y) const {
+    SVGF_HD void operator()(const Tile& tile, Own, int tile_column, int tile_row, int thread_x, int thread_y) const {
         SVGF_NO_UNROLL
         for (int row = thread_y; row < rows; row += threads_y) {
             const int x = tile_column * columns + thread_x, y = tile_row * rows + row;
@@ -148,7 +163,6 @@ private:
         const bool reaches = reprojection.find(x, y, surface, gradient, stored_id, point, repaired);
         const bool moves = reaches && (point.x != float(x) || point.y != float(y));
         const auto taps = reaches ? reprojection.weigh(point) : typename Reprojection<Storage>::Taps{};
-        count(out_repaired, repaired);
 
         const Neighbours near = find_neighbours(tile, place, surface, id);
         float shortest = largest_float;
@@ -156,9 +170,10 @@ private:
         for (int s = 0; s < Signals; ++s) {
             History old;
             if (reaches) read_history(s, point, taps, old);
-            shortest = fast_min(shortest, accumulate(s, pixel, tile.color[s], place, near, old, moves));
+            shortest = fast_min(shortest, accumulate(s, pixel, tile, place, near, old, moves));
         }
         out_history_length[pixel] = shortest;
+        count(out_repaired, repaired);
     }
 
     SVGF_HD Neighbours find_neighbours(const Tile& tile, int place, Vec4 surface, int32_t id) const {
@@ -190,7 +205,7 @@ private:
         reprojection.visit(point, taps, take);
         if (!(total > 0.0f)) return;
         old.found = true;
-        const float scale = 1.0f / total;
+        const float scale = fast_reciprocal(total);
         old.color *= scale;
         old.filtered_light *= scale;
         old.frames *= scale;
@@ -200,80 +215,88 @@ private:
 
     // Of nine pixels, whatever they show.
     SVGF_HD float mean_drift(int s, int x, int y) const {
-        float sum = 0.0f;
+        int columns[3], sum = 0;
         SVGF_UNROLL
-        for (int j = -1; j <= 1; ++j)
+        for (int i = 0; i < 3; ++i) columns[i] = clamp(x + (i - 1) * drift_spacing, 0, out_guides.width - 1);
+        SVGF_UNROLL
+        for (int j = 0; j < 3; ++j) {
+            const int row = out_guides.pixel(0, clamp(y + (j - 1) * drift_spacing, 0, out_guides.height - 1));
             SVGF_UNROLL
-            for (int i = -1; i <= 1; ++i)
-                sum += hist_moments[s].drift(
-                    out_guides.pixel(clamp(x + i * drift_spacing, 0, out_guides.width - 1),
-                                     clamp(y + j * drift_spacing, 0, out_guides.height - 1)));
-        return sum * (1.0f / 9.0f);
+            for (int i = 0; i < 3; ++i) sum += hist_moments[s].drift_steps(row + columns[i]);
+        }
+        return float(sum) * (Storage::Moments::drift_step / 9.0f);
     }
 
-    // Brings the sample into the mean of a signal. colors: its tile. Returns the frames that are in the mean.
-    SVGF_HD float accumulate(int s, int pixel, const Vec4* colors, int place, Neighbours near, const History& old,
+    // Brings the sample into the mean of a signal. Returns the frames that are in the mean.
+    SVGF_HD float accumulate(int s, int pixel, const Tile& tile, int place, Neighbours near, const History& old,
                              bool moves) const {
-        const Vec4 own = colors[place];
+        const Vec4 own = tile.color[s][place];
         float lights[neighbours], sum = 0.0f, most = 0.0f;
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
-            lights[n] = near.has(n) ? colors[place + neighbour(n)].w : 0.0f;
+            lights[n] = near.has(n) ? tile.light[s][place + neighbour(n)] : 0.0f;
             sum += lights[n];
             most = fast_max(most, lights[n]);
         }
         const float limit = firefly_limit * expected_light(old, near.count, sum - most, own.w);
-        if (own.w > limit) count_firefly(own.w - limit);
+        if (own.w > limit) count_firefly(pixel, own.w - limit);
 
-        // The 3x3 samples: mean, and variance of the luminance.
+        // The 3x3 samples' luminance: mean and variance.
         const float own_light = fast_min(own.w, limit);
-        const Vec3 sample = limited(own, limit);
-        Vec3 local = sample;
+        float local_light = own_light;
         SVGF_UNROLL
-        for (int n = 0; n < neighbours; ++n)
-            if (near.has(n)) local += limited(colors[place + neighbour(n)], limit);
-        local *= fast_reciprocal(float(near.count + 1));
-        const float local_light = luminance(local);
+        for (int n = 0; n < neighbours; ++n) local_light += fast_min(lights[n], limit);
+        local_light *= fast_reciprocal(float(near.count + 1));
         float squares = square(own_light - local_light);
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n)
             squares += near.has(n) ? square(fast_min(lights[n], limit) - local_light) : 0.0f;
         // A pixel without neighbours is as uncertain as it is bright.
-        const float spread =
-            near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
+        const float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
 
-        // Light that has changed.
+        // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
         const float threshold = change_threshold * (1.0f + threshold_rise * doublings);
-        const float kept_of_change =
-            clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
-        Vec3 history = local + (old.color - local) * kept_of_change;
-        const float old_frames = old.frames * kept_of_change;
-
-        float frames = old_frames + 1.0f;
+        float kept = clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
+        const bool changed = kept < 1.0f;
+        float frames = old.frames * kept + 1.0f;
         if (moves) frames = fast_min(frames, history_frames);
         const float variance = old.variance + (spread - old.variance) * fast_reciprocal(frames);
         float drift = 0.0f;
         if (old.found) {
-            const float history_light = luminance(history);
+            const float offset = (luminance(old.color) - local_light) * kept;  // of history, which it leaves of it
             const float deviation = fast_sqrt(fast_max(variance, old.variance));
-            const float residual =
-                (own_light - history_light) * fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
+            const float residual = (own_light - local_light - offset) *
+                                   fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
             drift = old.drift + (clamp(residual, -4.0f, 4.0f) - old.drift) * drift_rate;
-            const float distance = std::fabs(history_light - local_light);
+            const float distance = std::fabs(offset);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;
             if (distance > allowed) {
-                const float kept = allowed * fast_reciprocal(distance);
-                history = local + (history - local) * kept;
-                frames = fast_max(old_frames * kept, 1.0f) + 1.0f;
+                const float share = allowed * fast_reciprocal(distance);
+                frames = fast_max(old.frames * kept * share, 1.0f) + 1.0f;
                 if (moves) frames = fast_min(frames, history_frames);
+                kept *= share;
             }
+        }
+        const Vec3 sample = limited(own, limit);
+        Vec3 history = old.color;
+        if (kept < 1.0f) {
+            const Vec3 local = local_color(tile, s, place, near, limit, sample);
+            history = local + (history - local) * kept;
         }
         const float share = fast_reciprocal(frames);
         const Vec3 mean = history + (sample - history) * share;
         out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance * share});
-        out_moments[s].store(pixel, {frames, variance, drift, kept_of_change < 1.0f ? 1.0f : 0.0f});
+        out_moments[s].store(pixel, {frames, variance, drift, changed ? 1.0f : 0.0f});
         return frames;
+    }
+
+    // Mean of the 3x3 samples.
+    SVGF_HD Vec3 local_color(const Tile& tile, int s, int place, Neighbours near, float limit, Vec3 sample) const {
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            if (near.has(n)) sample += limited(tile.color[s][place + neighbour(n)], limit);
+        return sample * fast_reciprocal(float(near.count + 1));
     }
 
     // Luminance of a sample by what the filter made of history, and by the neighbours; without either, its own. others:
@@ -289,7 +312,8 @@ private:
         return color.w > limit ? color.xyz() * (limit * fast_reciprocal(color.w)) : color.xyz();
     }
 
-    SVGF_HD void count_firefly(float light) const {
+    SVGF_HD void count_firefly(int pixel, float light) const {
+        if (out_suppressed_light) out_suppressed_light[pixel] += light;
         count(&out_fireflies->samples, 1ull);
         count(&out_fireflies->light, static_cast<unsigned long long>(fast_min(light, 1e12f) * float(light_units)));
     }

@@ -56,9 +56,10 @@ public:
             const auto tile = std::make_unique<typename Stage::Tile>();
             for (size_t t = begin; t < end; ++t) {
                 const int column = int(t % columns), row = int(t / columns);
-                for (int i = 0; i < stage.loads(); ++i) stage.load(*tile, column, row, i);
+                for (int i = 0; i < Stage::places; ++i) stage.put(*tile, i, stage.fetch(column, row, i));
                 for (int y = 0; y < Stage::threads_y; ++y)
-                    for (int x = 0; x < Stage::threads_x; ++x) stage(*tile, column, row, x, y);
+                    for (int x = 0; x < Stage::threads_x; ++x)
+                        stage(*tile, stage.fetch_own(column, row, x, y), column, row, x, y);
             }
         });
     }
@@ -74,6 +75,12 @@ public:
     template <class Stage>
     void launch_queue(const char* name, int capacity, const std::int32_t* count, const Stage& stage) {
         launch(name, std::min(*count, capacity), stage);
+    }
+
+    // A thread that finds its own work.
+    template <class Stage>
+    void launch_workers(const char* name, const Stage& stage) {
+        launch(name, 1, [&](int) { stage(); });
     }
 
     // For the same source as on CUDA; there are no streams here.

@@ -36,10 +36,24 @@ __global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::bl
     __shared__ alignas(16) unsigned char memory[sizeof(Tile)];
     Tile& tile = *reinterpret_cast<Tile*>(memory);
     constexpr int threads = Stage::threads_x * Stage::threads_y;
-    for (int i = threadIdx.y * Stage::threads_x + threadIdx.x; i < stage.loads(); i += threads)
-        stage.load(tile, blockIdx.x, blockIdx.y, i);
+    constexpr int rounds = (Stage::places + threads - 1) / threads;
+    const int first = threadIdx.y * Stage::threads_x + threadIdx.x;
+    const auto own = stage.fetch_own(blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
+    // Several reads are on their way before the first of them is waited for.
+#pragma unroll
+    for (int begin = 0; begin < rounds; begin += Stage::fetches) {
+        typename Stage::Texel texels[Stage::fetches];
+#pragma unroll
+        for (int i = 0; i < Stage::fetches; ++i)
+            if (const int place = first + (begin + i) * threads; place < Stage::places)
+                texels[i] = stage.fetch(blockIdx.x, blockIdx.y, place);
+#pragma unroll
+        for (int i = 0; i < Stage::fetches; ++i)
+            if (const int place = first + (begin + i) * threads; place < Stage::places)
+                stage.put(tile, place, texels[i]);
+    }
     __syncthreads();
-    stage(tile, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
+    stage(tile, own, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
 }
 
 template <class Stage>
@@ -53,6 +67,11 @@ __global__ void __launch_bounds__(threads, blocks)
     run_queue(const __grid_constant__ Stage stage, const int* count) {
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i < *count) stage(i);
+}
+
+template <class Stage, int threads, int blocks>
+__global__ void __launch_bounds__(threads, blocks) run_workers(const __grid_constant__ Stage stage) {
+    stage();
 }
 #endif
 
@@ -120,6 +139,16 @@ public:
             <<<(capacity + threads - 1) / threads, threads, 0, stream()>>>(stage, count);
         end_stage(name);
     }
+
+    // As many threads as there is room for, each of which finds its own work.
+    template <class Stage>
+    void launch_workers(const char* name, const Stage& stage) {
+        begin_stage(name);
+        constexpr LaunchShape shape = launch_shape_of<Stage>();
+        constexpr int threads = shape.width * shape.height;
+        run_workers<Stage, threads, shape.blocks><<<multiprocessors_ * shape.blocks, threads, 0, stream()>>>(stage);
+        end_stage(name);
+    }
 #endif
 
     // Milliseconds per stage since the last call, in launch order: the first word of a launch's name. by_launch: per
@@ -176,6 +205,7 @@ private:
     cudaEvent_t new_event();
 
     int index_ = 0;
+    int multiprocessors_ = 1;
     // A blocking stream: it keeps order with the legacy default stream, on which CuPy and PyTorch work by default, so
     // arrays can be handed over in both directions without waiting.
     cudaStream_t own_stream_ = nullptr;

@@ -5,6 +5,7 @@
 //   launch(name, width, height, stage)                  stage(x, y) for every pixel
 //   launch(name, count, stage)                          stage(i) for every index
 //   launch_queue(name, capacity, count, stage)          stage(i) for as many as *count, on the device, says
+//   launch_workers(name, stage)                         stage() for as many threads as run at once, which share the work
 //   launch_tiles(name, stage)                           tiles of pixels that share what they read, see below
 //   take_timings, synchronize, interrupt
 //   StreamScope                                         work on a caller's stream for a while
@@ -13,9 +14,10 @@
 // the timings, the profiler's range and what an error message says. Where one stage takes several launches, theirs go
 // on with a space and another word; one launch of several stages has their names with a + between.
 //
-// A stage of tiles has tile_columns() x tile_rows() tiles of threads_x x threads_y threads. For each of them
-// load(tile, column, row, i) runs for every i below loads() and fills the Tile, shared memory on a GPU; when all of it
-// is there, operator()(tile, column, row, x, y) runs for every thread.
+// A stage of tiles has tile_columns() x tile_rows() tiles of threads_x x threads_y threads. For each of them the Tile,
+// shared memory on a GPU, is filled: put(tile, i, fetch(column, row, i)) for every i below places. When all of it is
+// there, operator()(tile, own, column, row, x, y) runs for every thread, own being what fetch_own(column, row, x, y) has
+// read for it alone in the meantime. A thread of a GPU has `fetches` texels on their way at a time.
 #pragma once
 
 #include <memory>

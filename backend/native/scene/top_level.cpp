@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdlib>
 
 #include "device/threads.h"
 
@@ -108,7 +109,8 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
     std::vector<Part> heap(parts.begin(), end_of_heap);
     parts.erase(parts.begin(), end_of_heap);
     std::make_heap(heap.begin(), heap.end());
-    const std::size_t wanted = std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
+    const char* x1 = std::getenv("SVGF_X1");
+    const std::size_t wanted = x1 ? std::size_t(std::atoi(x1)) : std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
     while (!heap.empty() && parts.size() + heap.size() < wanted) {
         std::pop_heap(heap.begin(), heap.end());
         const Part part = heap.back();

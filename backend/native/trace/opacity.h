@@ -44,21 +44,30 @@ SVGF_HD SVGF_NOINLINE inline float find_cut_out_opacity(const SceneView& scene, 
     return saturate(channel_of(sample_map(scene, mesh, map, hit), map.channel));
 }
 
+// Distances of the first surfaces that a ray passed, in no order.
+struct PassedDistances {
+    static constexpr int most = 8;
+    float t[most];
+};
+
 // What a path's ray passes.
 template <Effects kernel>
 struct PathPasses {
     const SceneView& scene;
-    const Sampler& sampler;
+    Sampler sampler;
     int vertex;  // at which the ray ends
+    PassedDistances& distances;
     int passed = 0;
 
     SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
+        if constexpr (!covers(kernel, Effects::alpha)) return false;
         const OpacityClass found = opacity_class(scene, hit);
         if (found == OpacityClass::opaque || found == OpacityClass::shaded) return false;
         if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
         if (found == OpacityClass::cut_out &&
             surface_choice<kernel>(sampler, vertex, hit) < find_cut_out_opacity(scene, hit))
             return false;
+        if (passed < distances.most) distances.t[passed] = hit.t;
         ++passed;
         return true;
     }
@@ -71,7 +80,8 @@ SVGF_HD SVGF_NOINLINE Hit count_passed(const SceneView& scene, Ray ray, Sampler 
                                        Hit hit) {
     Ray before = ray;
     before.t_max = min(ray.t_max, hit.t);
-    PathPasses<kernel> passes{scene, sampler, vertex};
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
     Hit nearest;
     traverse<true>(scene, before, nearest, passes);
     hit.passed = min(passes.passed, allowed);
@@ -84,15 +94,27 @@ SVGF_HD SVGF_NOINLINE Hit count_passed(const SceneView& scene, Ray ray, Sampler 
     return nearest;
 }
 
+// The closest hit of a path's ray, with the surfaces before it that the ray passed. passes: all of them, some of which
+// may lie behind the hit.
+template <Effects kernel>
+SVGF_HD Hit finish_path_hit(const Ray& ray, int allowed, Hit hit, const PathPasses<kernel>& passes) {
+    if constexpr (covers(kernel, Effects::alpha)) {
+        for (int i = 0; i < min(passes.passed, passes.distances.most); ++i)
+            if (passes.distances.t[i] < hit.t) ++hit.passed;
+        if (passes.passed > passes.distances.most || hit.passed > allowed)
+            return count_passed<kernel>(passes.scene, ray, passes.sampler, passes.vertex, allowed, hit);
+    }
+    return hit;
+}
+
 // What a path's ray hits. vertex: its number there. allowed: surfaces that the ray may pass, >= 0.
 template <Effects kernel>
 SVGF_HD Hit find_path_hit(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex, int allowed) {
-    if constexpr (!covers(kernel, Effects::alpha)) return find_closest_hit(scene, ray);
     Hit hit;
-    PathPasses<kernel> passes{scene, sampler, vertex};
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
     traverse<false>(scene, ray, hit, passes);
-    // Some of them may lie behind the hit.
-    return passes.passed == 0 ? hit : count_passed<kernel>(scene, ray, sampler, vertex, allowed, hit);
+    return finish_path_hit(ray, allowed, hit, passes);
 }
 
 // The same where it is the exception: a call of its own.
@@ -101,19 +123,20 @@ SVGF_HD SVGF_NOINLINE Hit find_path_hit_apart(const SceneView& scene, Ray ray, S
     return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed);
 }
 
+// What is kept of a path's ray of which only matters whether anything stops it.
+SVGF_HD inline Hit any_path_hit(const Ray& ray, bool found) {
+    Hit hit;
+    if (found) hit.t = ray.t_min, hit.instance = 0;
+    return hit;
+}
+
 // Whether anything stops a path's ray: a hit of which no more is known than that it was found.
 template <Effects kernel>
 SVGF_HD Hit find_any_path_hit(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex, int allowed) {
-    Hit hit;
-    PathPasses<kernel> passes{scene, sampler, vertex};
-    bool found;
-    if constexpr (covers(kernel, Effects::alpha))
-        found = traverse<true>(scene, ray, hit, passes) || passes.passed > allowed;
-    else
-        found = is_occluded(scene, ray);
-    hit.passed = passes.passed;
-    if (found) hit = {.t = ray.t_min, .instance = 0};
-    return hit;
+    Hit unused;
+    PassedDistances distances;
+    PathPasses<kernel> passes{scene, sampler, vertex, distances};
+    return any_path_hit(ray, traverse<true>(scene, ray, unused, passes) || passes.passed > allowed);
 }
 
 // See find_transmittance.
@@ -126,14 +149,17 @@ SVGF_HD SVGF_NOINLINE Vec3 find_shaded_transmittance(const SceneView& scene, Hit
 template <Effects kernel>
 struct ShadowPasses {
     const SceneView& scene;
-    const Sampler& sampler;
+    Sampler sampler;
     int vertex;  // from which the ray starts
     Vec3 view;
     int allowed;  // surfaces that it may still pass
     // In double, so that the order of the factors does not show.
     double left[3] = {1, 1, 1};
 
+    SVGF_HD Vec3 share() const { return {float(left[0]), float(left[1]), float(left[2])}; }
+
     SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
+        if constexpr (!covers(kernel, Effects::alpha)) return false;
         const OpacityClass found = opacity_class(scene, hit);
         if (found == OpacityClass::opaque) return false;
         if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
@@ -159,12 +185,8 @@ template <Effects kernel>
 SVGF_HD Vec3 find_transmittance_along(const SceneView& scene, const Ray& ray, const Sampler& sampler, int vertex,
                                       int allowed) {
     Hit unused;
-    if constexpr (covers(kernel, Effects::alpha)) {
-        ShadowPasses<kernel> passes{scene, sampler, vertex, -normalize(ray.direction), allowed};
-        if (traverse<true>(scene, ray, unused, passes)) return {};
-        return {float(passes.left[0]), float(passes.left[1]), float(passes.left[2])};
-    }
-    return is_occluded(scene, ray) ? Vec3{} : Vec3{1, 1, 1};
+    ShadowPasses<kernel> passes{scene, sampler, vertex, -normalize(ray.direction), allowed};
+    return traverse<true>(scene, ray, unused, passes) ? Vec3{} : passes.share();
 }
 
 }  // namespace svgf

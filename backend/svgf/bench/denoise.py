@@ -12,6 +12,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,38 @@ class BufferSize:
     buffer: str
     bytes: int
     bytes_per_pixel: float
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What a larger image costs: its pixels and its milliseconds, all stages, as multiples of the smaller one's."""
+
+    method: str
+    signals: int
+    smaller: str
+    larger: str
+    pixels: float
+    milliseconds: float
+
+
+def growths(costs: Sequence[StageCost]) -> list[Growth]:
+    """For each method and number of signals, from each size that was measured to the next larger one."""
+    cases: dict[tuple[str, int], list[StageCost]] = {}
+    for cost in costs:
+        if cost.stage == ALL:
+            cases.setdefault((cost.method, cost.signals), []).append(cost)
+    return [
+        Growth(
+            method,
+            signals,
+            f"{a.width}x{a.height}",
+            f"{b.width}x{b.height}",
+            b.width * b.height / (a.width * a.height),
+            b.milliseconds / a.milliseconds,
+        )
+        for (method, signals), frames in cases.items()
+        for a, b in pairwise(sorted(frames, key=lambda cost: cost.width * cost.height))
+    ]
 
 
 def make_inputs(width: int, height: int, signals: int, seed: int = 1) -> dict[str, np.ndarray]:

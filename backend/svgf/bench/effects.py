@@ -180,6 +180,18 @@ def _without_light_path_limits(scene: Scene) -> Scene:
 
 
 # Of every effect but MANY_LIGHTS, which is a way to choose among lights and no part of the scene.
+def _without_perfect_specular(scene: Scene) -> Scene:
+    """Mirrors and glass with the least roughness that scatters."""
+
+    def frosted(material: Material) -> Material:
+        least = {name: max(getattr(material, name), 0.05) for name in ("roughness", "coat_roughness")}
+        ior = material.ior if material.ior != 1.0 else 1.01
+        maps = {name: texture for name, texture in material.maps.items() if name not in (*least, "ior")}
+        return dataclasses.replace(material, maps=maps, ior=ior, **least)
+
+    return dataclasses.replace(scene, materials=tuple(map(frosted, scene.materials)))
+
+
 WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
     Effects.TEXTURES: _without_maps,
     Effects.SPECULAR: lambda scene: _materials(
@@ -195,6 +207,7 @@ WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
     Effects.TRANSMISSION: lambda scene: _materials(
         scene, (MaterialKind.GLASS, MaterialKind.REFRACTION, MaterialKind.TRANSLUCENT), transmission=0.0
     ),
+    Effects.PERFECT_SPECULAR: _without_perfect_specular,
     Effects.MESH_LIGHTS: lambda scene: _materials(scene, emission=(0.0, 0.0, 0.0)),
     Effects.ALPHA: lambda scene: _materials(scene, (MaterialKind.TRANSPARENT,), alpha=1.0),
     Effects.NORMAL_MAPS: lambda scene: _without_maps(scene, "normal"),

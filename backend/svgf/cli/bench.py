@@ -240,7 +240,7 @@ def denoise(
     as_json: JsonOption = False,
 ) -> None:
     """The denoiser alone: milliseconds, bytes and bandwidth of every stage beside a plain copy's, and its memory."""
-    from ..bench.denoise import SIZES, BufferSize, StageCost, measure, plot
+    from ..bench.denoise import SIZES, BufferSize, StageCost, growths, measure, plot
     from ..devices import open_device
     from .progress import progress_bar
 
@@ -291,11 +291,27 @@ def denoise(
             names=4,
             section=lambda line: line[:3],
         ),
+        table(
+            ("method", "signals", "from", "to", "pixels", "time"),
+            [
+                (
+                    row.method,
+                    str(row.signals),
+                    row.smaller,
+                    row.larger,
+                    f"x {row.pixels:.2f}",
+                    f"x {row.milliseconds:.2f}",
+                )
+                for row in growths(costs)
+            ],
+            names=4,
+        ),
         table(("method", "signals", "buffer", "B/pixel"), memory_lines, names=3, section=lambda line: line[:2]),
         csv_file=csv_file,
         plot_file=plot_file,
         plot=plot,
         as_json=as_json,
+        growths=[asdict(row) for row in growths(costs)],
         buffers=[asdict(row) for row in buffers],
     )
 
