@@ -237,8 +237,8 @@ def replace_smooth_surfaces(
     images: dict[str, np.ndarray],
 ) -> np.ndarray:
     """Writes what mirrors and glass show over the images of trace_gbuffer, and keeps what the camera's rays hit
-    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see find_path_hits. Returns
-    the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
+    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see find_path_hits.
+    Returns the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
     for name in ("normal", "depth", "object_id", "motion"):
         images[f"first_{name}"] = images[name].copy()
     walk = _Walk(scene, rays, hits, passed, bounces, limits)
@@ -279,7 +279,8 @@ class _Walk:
             np.zeros(count, dtype=int), np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, dtype=bool)
         )
         self.link_hits: list[Hits] = []
-        self.seen_hits = Hits(np.full(count, np.inf), *(np.zeros(count, dtype=int) for _ in range(2)), np.zeros((count, 3)))  # fmt: skip
+        nowhere = np.zeros(count, dtype=int)
+        self.seen_hits = Hits(np.full(count, np.inf), nowhere, nowhere.copy(), np.zeros((count, 3)))
         self.images = {
             "normal": np.zeros((count, 3)),
             "object_id": np.zeros(count, dtype=np.int64),
