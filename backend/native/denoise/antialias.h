@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "antialias" of svgf+: resolves over time what lies within a pixel, and lets a still view converge to the truth.
 //
-// Reads 3x3 pixels of the filtered signals, modulated on the way, and what it wrote a frame ago: the resolved colour, and
-// the frames in it.
+// Reads 3x3 pixels of the filtered signals, modulated on the way, and what it wrote a frame ago: the resolved colour,
+// and the frames in it.
 // Where a sample's place in its pixel is random, albedo and silhouettes change from frame to frame, whatever the filter
 // makes of the illumination: their mean over time is what the pixel shows. History is clipped to the mean and deviation
 // of the 3x3 pixels [Salvi16], so that what no longer belongs there is gone at once. It follows the nearest of the 3x3
@@ -42,7 +42,7 @@ struct Antialias : Tiles {
     static constexpr int blocks = 5, fetches = 1;  // fastest on an H200
 
     struct Tile {
-        Vec4 color[places];  // w: 0
+        Vec4 color[places];  // rgb, brightness
         float depth[places], log_brightness[places];
     };
     struct Texel {
@@ -82,9 +82,9 @@ struct Antialias : Tiles {
             modulate.out_variance[texel.own_pixel] = variance;
             count(modulate.out_repaired, repaired);
         }
-        tile.color[place] = {color.x, color.y, color.z, 0.0f};
+        tile.color[place] = with_brightness(color);
         tile.depth[place] = texel.depth;
-        tile.log_brightness[place] = fast_log2(brightness(color) + 1e-30f);
+        tile.log_brightness[place] = fast_log2(tile.color[place].w);
     }
     struct Own {};
     SVGF_HD Own fetch_own(int, int, int, int) const { return {}; }
@@ -99,13 +99,14 @@ struct Antialias : Tiles {
 
 private:
     SVGF_HD static float brightness(Vec3 c) { return fast_max(c.x, fast_max(c.y, c.z)); }
+    SVGF_HD static Vec4 with_brightness(Vec3 c) { return {c.x, c.y, c.z, brightness(c) + 1e-30f}; }
 
     // The 3x3 pixels' mean and deviation, after map.
     struct Box {
         float white = 0.0f;
         Vec3 mean, deviation;
 
-        SVGF_HD Vec3 map(Vec3 c) const { return c * fast_reciprocal(white + brightness(c) + 1e-30f); }
+        SVGF_HD Vec3 map(Vec4 c) const { return c.xyz() * fast_reciprocal(white + c.w); }
         SVGF_HD Vec3 unmap(Vec3 c) const {
             return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - brightness(c), 1e-4f)));
         }
@@ -117,7 +118,8 @@ private:
 
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
         const int pixel = guides.pixel(x, y);
-        const Vec3 own = tile.color[place].xyz();
+        const Vec4 center = tile.color[place];
+        const Vec3 own = center.xyz();
         const Vec3 motion = motion_of(front(tile, place, x, y));
         const float px = float(x) + motion.x, py = float(y) + motion.y;
         if (!has_history || !(px >= 0.0f && py >= 0.0f && px <= float(guides.width - 1) &&
@@ -138,7 +140,7 @@ private:
         float margin = 0.0f;
         if (settled) {
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
-            margin = still_margin + still_box * deviation / (box.white + brightness(own) + 1e-30f);
+            margin = still_margin + still_box * deviation / (box.white + center.w);
         }
         const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
         const Vec3 room = max(extent, 1e-30f);
@@ -161,7 +163,7 @@ private:
             const Vec3 before = excess > 1.0f ? box.unmap(clipped) : history.color;
             write(pixel, before + (own - before) * share, frames);
         } else {
-            write(pixel, box.unmap(clipped + (box.map(own) - clipped) * share), frames);
+            write(pixel, box.unmap(clipped + (box.map(center) - clipped) * share), frames);
         }
     }
 
@@ -193,11 +195,11 @@ private:
         for (int n = 0; n < neighbours; ++n) logarithms += fast_max(tile.log_brightness[place + neighbour(n)], least);
         box.white = fast_exp2(share * logarithms);
         Vec3 mapped[neighbours + 1];
-        mapped[neighbours] = box.map(tile.color[place].xyz());
+        mapped[neighbours] = box.map(tile.color[place]);
         box.mean = mapped[neighbours];
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
-            mapped[n] = box.map(tile.color[place + neighbour(n)].xyz());
+            mapped[n] = box.map(tile.color[place + neighbour(n)]);
             box.mean += mapped[n];
         }
         box.mean *= share;
@@ -233,7 +235,7 @@ private:
                 if (!(share > 0.0f)) continue;
                 const Vec4 tap = hist_color[corner + j * guides.width + i];
                 history.color += share * tap.xyz();
-                history.mapped += share * box.map(tap.xyz());
+                history.mapped += share * box.map(with_brightness(tap.xyz()));
                 history.frames += share * fast_sqrt(tap.w);
             }
         return history;

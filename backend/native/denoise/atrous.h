@@ -89,7 +89,7 @@ struct Atrous {
     static constexpr int radius = Method::radius, rows_per_thread = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
-    static constexpr int blocks = 5 - Signals, fetches = 3;  // as the registers allow; fastest on an H200
+    static constexpr int blocks = 5 - Signals, fetches = 2;  // as the registers allow; fastest on an H200
 
     static constexpr int places = Lattice::width * Lattice::height;
     struct Tile {

@@ -8,10 +8,10 @@
 //   none     demodulate -> modulate
 //
 // Each signal is filtered by itself; geometry, reprojection and edge weights are worked out once for all signals.
-// svgf+ works in packed images (storage.h); its first and its last stage are two in one launch. What has been read serves
-// again: the history of the frame before for colour between the levels, the guides of the frame before for the resolved
-// picture, and until they are written the caller's colour image for colour between the levels and the caller's variance
-// image for the depth gradients.
+// svgf+ works in packed images (storage.h); its first and its last stage are two in one launch. What has been read
+// serves again: the history of the frame before for colour between the levels, the guides of the frame before for the
+// resolved picture, and until they are written the caller's colour image for colour between the levels and the caller's
+// variance image for the depth gradients.
 #pragma once
 
 #include <cstdint>

@@ -48,6 +48,9 @@ SVGF_HD inline float repair(float value, int& repaired) {
     return 0.0f;
 }
 SVGF_HD inline Vec3 repair(Vec3 value, int& repaired) {
+    // Mostly all is well, and told by two tests: a NaN makes the sum one.
+    const float least = fast_min(value.x, fast_min(value.y, value.z)), sum = value.x + value.y + value.z;
+    if (least >= 0.0f && sum <= largest_radiance) return value;
     return {repair(value.x, repaired), repair(value.y, repaired), repair(value.z, repaired)};
 }
 

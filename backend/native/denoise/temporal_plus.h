@@ -2,9 +2,9 @@
 // Stage "temporal" of svgf+: firefly limit, reprojection, running means, and the variance that is left in them.
 //
 // Reads 3x3 pixels of the public images, demodulated on the way, and what the frame before left: its guides, per signal
-// the mean colour and the frames in it, and the variance of a sample. Writes the same of this frame, and with the colour
-// the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage
-// "variance" follows.
+// the mean colour and the frames in it, and the variance of a sample. Writes the same of this frame, and with the
+// colour the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no
+// stage "variance" follows.
 //
 // Departures from [Schied17]. Measured on two 1-spp sequences of Cycles, a box with chrome and glass and a gallery;
 // relMSE, FLIP of each with svgf, with svgf+, and with a step of svgf+ off:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tiles of a stage that reads the 3x3 pixels around each one: 32 x 16 pixels and a margin of one, so that a pixel is
-// read and unpacked 1.2 times instead of nine.
+// The tiles of a stage that reads the 3x3 pixels around each one: 32 x 16 pixels and a margin of one, so that a pixel
+// is read and unpacked 1.2 times instead of nine.
 #pragma once
 
 #include "denoise/guides.h"

@@ -17,6 +17,8 @@
 namespace svgf {
 namespace {
 
+// Launches whose time is kept until it is taken.
+constexpr size_t most_spans = 4096;
 // Of pinned host memory: kept for later, and in use. A frame's images in 4K are about 1 GiB.
 constexpr size_t most_free_pinned_bytes = size_t(512) << 20, most_used_pinned_bytes = size_t(1) << 30;
 
@@ -229,6 +231,13 @@ void Device::begin_stage(const char* name) {
     if (interrupted_.exchange(false)) throw Interrupted(name);
     last_stage_ = name;
     cudaSetDevice(index_);
+    if (spans_.size() == most_spans) {  // nobody takes the timings: the older half is forgotten
+        for (size_t i = 0; i < most_spans / 2; ++i) {
+            free_events_.push_back(spans_[i].begin);
+            free_events_.push_back(spans_[i].end);
+        }
+        spans_.erase(spans_.begin(), spans_.begin() + most_spans / 2);
+    }
     SVGF_RANGE_PUSH(name);
     spans_.push_back({name, new_event(), new_event()});
     check(cudaEventRecord(spans_.back().begin, stream()), name);

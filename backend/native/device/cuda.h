@@ -43,14 +43,17 @@ __global__ void __launch_bounds__(Stage::threads_x * Stage::threads_y, Stage::bl
 #pragma unroll
     for (int begin = 0; begin < rounds; begin += Stage::fetches) {
         typename Stage::Texel texels[Stage::fetches];
+        // The compiler leaves out what no thread, and the test where every thread has something to read.
+        const auto has = [&](int round) {
+            return round < rounds &&
+                   ((round + 1) * threads <= Stage::places || first + round * threads < Stage::places);
+        };
 #pragma unroll
         for (int i = 0; i < Stage::fetches; ++i)
-            if (const int place = first + (begin + i) * threads; place < Stage::places)
-                texels[i] = stage.fetch(blockIdx.x, blockIdx.y, place);
+            if (has(begin + i)) texels[i] = stage.fetch(blockIdx.x, blockIdx.y, first + (begin + i) * threads);
 #pragma unroll
         for (int i = 0; i < Stage::fetches; ++i)
-            if (const int place = first + (begin + i) * threads; place < Stage::places)
-                stage.put(tile, place, texels[i]);
+            if (has(begin + i)) stage.put(tile, first + (begin + i) * threads, texels[i]);
     }
     __syncthreads();
     stage(tile, own, blockIdx.x, blockIdx.y, threadIdx.x, threadIdx.y);
@@ -137,7 +140,7 @@ public:
 #endif
 
     // Milliseconds per stage since the last call, in launch order: the first word of a launch's name. by_launch: per
-    // name. Waits for the device.
+    // name. Waits for the device. After thousands of launches the oldest are left out.
     std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 
     // May be called from any thread: the next launch throws Interrupted. Kernels are short; a running one ends.

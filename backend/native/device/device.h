@@ -15,8 +15,8 @@
 //
 // A stage of tiles has tile_columns() x tile_rows() tiles of threads_x x threads_y threads. For each of them the Tile,
 // shared memory on a GPU, is filled: put(tile, i, fetch(column, row, i)) for every i below places. When all of it is
-// there, operator()(tile, own, column, row, x, y) runs for every thread, own being what fetch_own(column, row, x, y) has
-// read for it alone in the meantime. A thread of a GPU has `fetches` texels on their way at a time.
+// there, operator()(tile, own, column, row, x, y) runs for every thread, own being what fetch_own(column, row, x, y)
+// has read for it alone in the meantime. A thread of a GPU has `fetches` texels on their way at a time.
 #pragma once
 
 #include <memory>
