@@ -401,6 +401,14 @@ def test_each_signal_has_its_albedo(device):
         assert images[signal].any()
 
 
+@pytest.mark.parametrize("name", ["box", "chains"])
+def test_both_albedos_are_never_above_one(device, name):
+    """Links take of each other's light, and what goes elsewhere does not come on top."""
+    images = trace(device, scenes.device_scenes()[name])
+    total = images["diffuse_albedo"] + images["specular_albedo"]
+    assert total.min() >= 0 and total.max() <= 1 + 1e-5
+
+
 def test_light_of_what_glass_shows_has_no_noise(device):
     """A lamp's mesh and the world behind glass: every sample writes the same."""
     objects = [

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstdlib>
 
 #include "device/threads.h"
 
@@ -12,7 +11,7 @@ namespace {
 
 // Leaves that opening may lead to, for each instance and in all: moving an object builds the top level anew, which has
 // to stay far below a millisecond.
-constexpr std::size_t leaves_per_instance = 32, most_opened_leaves = 2048;
+constexpr std::size_t leaves_per_instance = 20, most_opened_leaves = 2048;
 
 constexpr TopLeaf whole(std::int32_t instance) { return {instance, 0, 1u << 31}; }
 
@@ -109,8 +108,7 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
     std::vector<Part> heap(parts.begin(), end_of_heap);
     parts.erase(parts.begin(), end_of_heap);
     std::make_heap(heap.begin(), heap.end());
-    const char* x1 = std::getenv("SVGF_X1");
-    const std::size_t wanted = x1 ? std::size_t(std::atoi(x1)) : std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
+    const std::size_t wanted = std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
     while (!heap.empty() && parts.size() + heap.size() < wanted) {
         std::pop_heap(heap.begin(), heap.end());
         const Part part = heap.back();
