@@ -6,8 +6,8 @@
 // the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no stage
 // "variance" follows.
 //
-// Departures from [Schied17]. Measured at 480x270 on our own tracer's box of metal and glass and its arcade, 16 frames at
-// 1 sample per pixel against 1024, frames 5 to 16; relMSE, FLIP, flicker of each:
+// Departures from [Schied17]. Measured at 480x270 on our own tracer's box of metal and glass and its arcade, 16 frames
+// at 1 sample per pixel against 1024, frames 5 to 16; relMSE, FLIP, flicker of each:
 //
 //   firefly limit 20                    0.0196 0.0811 0.0094     0.0431 0.2070 0.0243
 //   no firefly limit                    0.0242 0.0745 0.0095     0.0245 0.1204 0.0222
