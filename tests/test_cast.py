@@ -62,6 +62,40 @@ def test_rays_find_what_brute_force_finds(device, kind):
     np.testing.assert_array_equal(images["distance"][~found], np.inf)
 
 
+def test_meshes_that_share_their_space(device):
+    """Heaps of small triangles, turned and stretched, that fill the same ball, one of them in two places, and a large
+    square through all of them: the trees of such are mixed in the scene's own."""
+    rng = np.random.default_rng(8)
+
+    def heap(count):
+        centres = rng.normal(size=(count, 1, 3))
+        corners = centres + 0.12 * rng.normal(size=(count, 3, 3))
+        return scenes.mesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+
+    def somewhere():
+        turn = scenes.rotation("x", rng.uniform(0, 6)) @ scenes.rotation("z", rng.uniform(0, 6))
+        return scenes.transform(0.1 * rng.normal(size=3), turn @ np.diag(rng.uniform(0.8, 1.2, 3)))
+
+    heaps = [heap(count) for count in (7, 40, 150, 150)]
+    heaps.append(heaps[-1])
+    objects = [(shape, somewhere(), [scenes.WHITE]) for shape in heaps]
+    objects.append((scenes.quad(4.0), somewhere(), [scenes.WHITE]))
+    scene = scenes.build(objects, scenes.camera((0, 0, 5), (0, 0, 0)))
+    tracer, flat = tracer_of(device, scene)
+    rays = np.zeros((*SIZE[::-1], 8), dtype=np.float32)
+    rays[..., :3] = 2 * rng.normal(size=(*SIZE[::-1], 3))
+    rays[..., 3:6] = 0.6 * rng.normal(size=(*SIZE[::-1], 3)) - rays[..., :3]
+    rays[..., :3] -= flat.origin
+    rays[..., 7] = np.inf
+    distance, instance, triangle = (image.reshape(SIZE[::-1]) for image in brute_force(flat, rays))
+    images = cast(device, tracer, rays, False)
+    assert 0.2 < np.isfinite(distance).mean() < 0.95
+    np.testing.assert_allclose(images["distance"], distance, rtol=1e-4)
+    np.testing.assert_array_equal(images["instance"], instance)
+    np.testing.assert_array_equal(images["triangle"], triangle)
+    np.testing.assert_array_equal(cast(device, tracer, rays, True)["occluded"], np.isfinite(distance))
+
+
 def test_distances_count_in_lengths_of_the_direction(device):
     tracer, flat = tracer_of(
         device, scenes.build([(scenes.quad(2.0), scenes.transform(), [scenes.WHITE])], scenes.camera((0, 0, 5), (0, 0, 0)))

@@ -41,8 +41,8 @@ def blotches(**changes) -> Texture:
 @pytest.mark.parametrize("extension", Extension)
 @pytest.mark.parametrize("interpolation", Interpolation)
 def test_triangles_of_one_opacity_are_as_any_other(device, interpolation, extension):
-    """A sheet of small triangles, most of them opaque or clear all over, before a floor that it shadows: each pixel sees
-    what the reference sees, which knows nothing of triangles."""
+    """A sheet of small triangles, most of them opaque or clear all over, before a floor that it shadows: each pixel
+    sees what the reference sees, which looks at every point."""
     if device.name == "reference":
         pytest.skip("it is what the others are compared with")
     leaves = Material("leaves", base_color=(0.2, 0.7, 0.3), specular_ior_level=0.0, maps={"alpha": TextureMap(0, 3)})
@@ -66,7 +66,8 @@ def test_a_ray_through_an_edge_passes_one_triangle(device):
     panes = [(sheet(cells, 4.0), scenes.transform((0, 0, 2.0 + cells)), [PANE]) for cells in (1, 4)]
     sun = scenes.lamp(LightKind.SUN, eye=(0, 0, 9), target=(0, 0, 0), size=(0.0, 0.0))
     view = scenes.camera((0, 0, 1), (0, 1e-9, 0), aspect=1.0)
-    scene = scenes.orthographic(scenes.build([(scenes.quad(4.0), scenes.transform(), [scenes.WHITE]), *panes], view, [sun]))
+    floor = (scenes.quad(4.0), scenes.transform(), [scenes.WHITE])
+    scene = scenes.orthographic(scenes.build([floor, *panes], view, [sun]))
     images = trace(device, scene, 32, 32, bounces=0)
     np.testing.assert_allclose(radiance(images)[..., 0], sun.power[0] * 0.8 / np.pi * 0.6**2, rtol=1e-5)
 
@@ -75,9 +76,8 @@ def test_overlapping_panes_all_count(device):
     """Four panes at the very same place are four."""
     panes = [(sheet(1 + i, 4.0), scenes.transform((0, 0, 2.0)), [PANE]) for i in range(4)]
     sun = scenes.lamp(LightKind.SUN, eye=(0.1, 0.2, 9), target=(0, 0, 0), size=(0.0, 0.0))
-    scene = scenes.build(
-        [(scenes.quad(3.0), scenes.transform(), [scenes.WHITE]), *panes], scenes.camera((0, -0.9, 0.5), (0, 0, 0)), [sun]
-    )
+    floor = (scenes.quad(3.0), scenes.transform(), [scenes.WHITE])
+    scene = scenes.build([floor, *panes], scenes.camera((0, -0.9, 0.5), (0, 0, 0)), [sun])
     images = trace(device, scene, bounces=0)
     floor = images["object_id"] == 1
     assert floor.mean() > 0.5

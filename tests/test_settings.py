@@ -95,7 +95,8 @@ def test_settings_suggest_names(name, typo, meant, names):
 
 
 def test_pixel_filter_follows_the_method():
-    assert Settings().resolved_pixel_filter == "center"
+    assert Settings().resolved_pixel_filter == "box"
+    assert Settings(method="svgf").resolved_pixel_filter == "center"
     assert Settings(method="none").resolved_pixel_filter == "box"
     assert Settings(method="none", pixel_filter="center").resolved_pixel_filter == "center"
 

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from svgf.devices import open_device
 from svgf.effects import Effects, find_effects
 from svgf.light_paths import LightPaths
-from svgf.scene import LightKind, Material, MaterialKind, Projection, RenderDefaults, World
+from svgf.metrics import relative_mse
+from svgf.renderer import Renderer
+from svgf.scene import LightKind, Material, MaterialKind, Projection, RenderDefaults, TextureMap, World
+from svgf.settings import Settings
 
 from . import scenes
 from .statistical import assert_mean
@@ -43,7 +47,10 @@ def plane_of(transform: np.ndarray) -> np.ndarray:
 
 def objects_above(moving: bool = True):
     """A ball and a slanted board, which move, and a wall."""
-    ball, ball_before = scenes.transform((0.2, 0.4, 0.8)), scenes.transform((0.05, 0.35, 0.7), scenes.rotation("z", 0.2))
+    ball, ball_before = (
+        scenes.transform((0.2, 0.4, 0.8)),
+        scenes.transform((0.05, 0.35, 0.7), scenes.rotation("z", 0.2)),
+    )
     board = scenes.transform((-0.9, 0.6, 0.7), scenes.rotation("x", 1.0))
     board_before = scenes.transform((-0.9, 0.5, 0.75), scenes.rotation("x", 0.9))
     wall = scenes.transform((0, 3.0, 0), scenes.rotation("x", np.pi / 2))
@@ -88,7 +95,9 @@ def test_plane_mirror_shows_the_mirrored_scene(device, view, moves):
     camera, previous = VIEWS[view]
     mirror = scenes.transform((0, 0, 0), scenes.rotation("x", 0.05))
     before = scenes.transform((0, 0, -0.05), scenes.rotation("y", 0.02)) if moves else mirror
-    scene = scenes.build([(scenes.quad(6.0), mirror, [MIRROR], before), *objects_above()], camera, previous_view=previous)
+    scene = scenes.build(
+        [(scenes.quad(6.0), mirror, [MIRROR], before), *objects_above()], camera, previous_view=previous
+    )
     unfolded = scenes.build(
         [
             (shape, after(plane_of(mirror), now), slots, after(plane_of(before), then))
@@ -147,7 +156,9 @@ def test_two_mirrors_show_the_scene_mirrored_twice(device):
     ball = (scenes.sphere(0.5, rows=24), scenes.transform((0.1, -0.4, 1.6)), [GLOW], scenes.transform((0.1, -0.5, 1.6)))
     behind = scenes.transform((0, -4.0, 0), scenes.rotation("x", -np.pi / 2))
     back = (scenes.quad(30.0), behind, [scenes.WHITE], behind)
-    scene = scenes.build([(scenes.quad(20.0), floor, [MIRROR]), (scenes.quad(20.0), wall, [MIRROR]), ball, back], camera)
+    scene = scenes.build(
+        [(scenes.quad(20.0), floor, [MIRROR]), (scenes.quad(20.0), wall, [MIRROR]), ball, back], camera
+    )
     both = after(plane_of(floor), plane_of(wall))
     unfolded = scenes.build(
         [(shape, after(both, now), slots, after(both, then)) for shape, now, slots, then in (ball, back)], camera
@@ -266,7 +277,7 @@ def test_depth_and_motion_through_a_pane(device):
         np.testing.assert_allclose(images["depth_gradient"][..., axis], slope, atol=1e-4)
     for row, column in ((3, 5), (18, 32), (30, 60), (10, 50)):
         solved = optimize.root(
-            lambda q: landing(previous, q[0], q[1])[0] - point[row, column],
+            lambda q, goal=point[row, column]: landing(previous, q[0], q[1])[0] - goal,
             (x[row, column], y[row, column]),
             tol=1e-10,
         )
@@ -336,7 +347,7 @@ def test_depth_and_motion_in_a_ball(device, material):
     errors, moves = [], []
     for row, column in ((8, 12), (18, 31), (27, 50), (12, 44), (25, 16)):
         goal, start = point[row, column], np.array((x[row, column], y[row, column]))
-        solved = optimize.root(lambda q: (ball.landing(previous, *q)[0] - goal)[[0, 2]], start, tol=1e-9)
+        solved = optimize.root(lambda q, goal=goal: (ball.landing(previous, *q)[0] - goal)[[0, 2]], start, tol=1e-9)
         assert solved.success
         moves.append(np.abs(solved.x - start).max())
         errors.append(np.abs(images["motion"][row, column, :2] - (solved.x - start)).max())
@@ -399,6 +410,14 @@ def test_each_signal_has_its_albedo(device):
         black = images[albedo].max(axis=2) == 0.0
         assert not images[signal][black].any()
         assert images[signal].any()
+
+
+@pytest.mark.parametrize("name", ["box", "chains"])
+def test_both_albedos_are_never_above_one(device, name):
+    """Links take of each other's light, and what goes elsewhere does not come on top."""
+    images = trace(device, scenes.device_scenes()[name])
+    total = images["diffuse_albedo"] + images["specular_albedo"]
+    assert total.min() >= 0 and total.max() <= 1 + 1e-5
 
 
 def test_light_of_what_glass_shows_has_no_noise(device):
@@ -487,3 +506,40 @@ def test_points_are_where_depth_says(device):
     images = trace(device, scene)
     seen = (images["first_object_id"] == 1) & (images["depth"] < 1e8)
     np.testing.assert_allclose(hit_points(scene, images)[seen][:, 1], 3.0, atol=1e-4)
+
+
+def mirror_room(frame: int):
+    """A checkered wall over a mirror, past which the camera moves."""
+
+    def view(time: float):
+        return scenes.camera((0.1 * time - 0.4, -2.5, 1.2), (0, 0.8, 0.1))
+
+    paper = Material("paper", maps={"base_color": TextureMap(0)}, specular_ior_level=0.0)
+    wall = scenes.transform((0, 1.5, 1.0), scenes.rotation("x", np.pi / 2))
+    return scenes.build(
+        [(scenes.quad(8.0), scenes.transform(), [MIRROR]), (scenes.quad(6.0), wall, [paper])],
+        view(frame),
+        [scenes.lamp(LightKind.RECTANGLE, eye=(0, -1.0, 3.0), target=(0, 0.5, 1.0), power=(200, 200, 200))],
+        previous_view=view(frame - 1),
+        textures=[scenes.checker_texture()],
+        frame=frame,
+    )
+
+
+def test_denoised_reflections_are_sharp(monkeypatch):
+    """A quarter of the error in a mirror is gone: 0.098 without replacement, 0.074 with it. Larger pictures gain more,
+    see trace/specular_chain.h."""
+    device, errors = open_device("cpu"), {}
+    truth = Settings(width=WIDTH, height=HEIGHT, method="none", pixel_filter="center", samples=64, seed=9)
+    expected = Renderer(truth, device).render(mirror_room(7)).color
+    in_mirror = trace(device, mirror_room(7))["first_object_id"] == 1
+    for replaced in (True, False):
+        if not replaced:
+            monkeypatch.setattr(
+                "svgf.flatten.find_effects", lambda scene: find_effects(scene) & ~Effects.PERFECT_SPECULAR
+            )
+        renderer = Renderer(Settings(width=WIDTH, height=HEIGHT), device)
+        for frame in range(1, 8):
+            color = renderer.render(mirror_room(frame)).color
+        errors[replaced] = relative_mse(color[in_mirror][None], expected[in_mirror][None])
+    assert in_mirror.mean() > 0.3 and errors[True] < 0.85 * errors[False], errors

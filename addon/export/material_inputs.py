@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 from svgf.scene import Texture, TextureMap
 
@@ -139,12 +140,23 @@ class InputReader:
             value = self._values.read(driver.input("Color"))
             if getattr(node, "convention", "OPENGL") == "DIRECTX":
                 value = apply(_flip_green, value)
+            self._find_other_tangents(node, value)
             return baking.NormalMap(value, self._values.read(driver.input("Strength")))
         what = f"{node.space.lower().replace('_', ' ')} space of " if node.type == "NORMAL_MAP" else ""
         self._find(
             f'{what}{describe(node)} on "{place.socket.name}" is not supported yet; the normals of the mesh are used.'
         )
         return None
+
+    def _find_other_tangents(self, node: bpy.types.Node, value: Expression) -> None:
+        """Names a Normal Map node whose tangents are not those of the UV map that its image lies on."""
+        index = self._context.layers.index
+        others = [name for name in baking.uv_maps_of([value]) if index(name) != index(node.uv_map)]
+        if others:
+            self._find(
+                f'{describe(node)} takes its tangents of another UV map than that of its image, which is not supported '
+                "yet; they are those of the image's."
+            )
 
     def _direct(self, reader: Expression, channel: int) -> TextureMap | None:
         """The image itself, where its coordinates are UVs through an affine transform."""

@@ -173,12 +173,19 @@ def _joined(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _mapped(node: bpy.types.Node, vector: Expression) -> Expression:
-    """Through the mapping that texture nodes had before there were Mapping nodes."""
+    """Through the mapping that texture nodes had before there were Mapping nodes. Its limits do nothing in Cycles."""
     settings = node.texture_mapping
+    axes = settings.mapping_x, settings.mapping_y, settings.mapping_z
+    if axes != ("X", "Y", "Z"):
+        vector = apply(_joined, *(_axis(vector, axis) for axis in axes))
     parts = tuple(settings.translation), tuple(settings.rotation), tuple(settings.scale)
     if parts == ((0, 0, 0), (0, 0, 0), (1, 1, 1)):
         return vector
     return apply(arithmetic.mapping, vector, *map(constant, parts), kind=settings.vector_type)
+
+
+def _axis(vector: Expression, axis: str) -> Expression:
+    return constant(0.0) if axis == "NONE" else apply(component, vector, index="XYZ".index(axis))
 
 
 # Inputs

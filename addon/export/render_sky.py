@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A program: ``blender --background --python render_sky.py -- SETTINGS WIDTH FOLDER`` has Cycles render the sky of a Sky
-Texture node with these settings (JSON) as an equirectangular sky.exr, whose middle is +X, and where it has a sun, the
-rows of that once more as sun.exr."""
+"""A program: ``blender --background --python render_sky.py -- SETTINGS WIDTH FOLDER``.
+
+Cycles renders the sky of a Sky Texture node with these settings (JSON) as an equirectangular sky.exr, whose middle is
++X, and where it has a sun, the rows of that once more as sun.exr.
+"""
 
 import json
 import math

@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -34,6 +35,8 @@ _SECONDS = 300.0
 # Images by settings, or why there is none.
 _skies: OrderedDict[str, Image | str] = OrderedDict()
 _job: _Job | None = None
+# A viewport and a final render, which has a thread of its own, may ask at once.
+_lock = threading.Lock()
 
 
 @dataclass
@@ -61,18 +64,24 @@ def sky_image(node: bpy.types.Node, should_stop: Callable[[], bool] | None) -> I
     worlds are then tagged for an update once there is a sky, and until then the last one stands in.
     """
     settings = sky_settings(node)
-    while settings not in _skies:
-        if _job is None:
-            _start(settings)
-        if not _finish():
+    while True:
+        with _lock:
+            if settings in _skies or _advance(settings):
+                _skies.move_to_end(settings)
+                return _skies[settings]
             if should_stop is None:
                 ready = [sky for sky in _skies.values() if isinstance(sky, Image)]
                 return ready[-1] if ready else "is still being rendered"
-            if should_stop():
-                raise Interrupted("The export was cancelled.")
-            time.sleep(0.02)
-    _skies.move_to_end(settings)
-    return _skies[settings]
+        if should_stop():
+            raise Interrupted("The export was cancelled.")
+        time.sleep(0.02)
+
+
+def _advance(settings: str) -> bool:
+    """Renders one sky after the other; returns whether this one is there."""
+    if _job is None:
+        _start(settings)
+    return _finish() and settings in _skies
 
 
 def _start(settings: str) -> None:
@@ -126,8 +135,9 @@ def _color(path: Path) -> np.ndarray:
 
 def _announce() -> float | None:
     """A timer: has the worlds exported again once the job has ended."""
-    if _job is not None and not _finish():
-        return 0.1
+    with _lock:
+        if _job is not None and not _finish():
+            return 0.1
     for world in bpy.data.worlds:
         world.update_tag()
     return None

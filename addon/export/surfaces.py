@@ -227,6 +227,8 @@ class SurfaceReader:
         start = node.input(0)
         factor = trace(start)
         kind = factor.node.type if factor.is_output else ""
+        if kind in {"FRESNEL", "LAYER_WEIGHT"} and trace(factor.input("Normal")).is_output:
+            self._find(f'a normal of its own of {describe(factor.node)} is not supported yet; it has the surface\'s.')
         if kind == "FRESNEL":
             ior = self._constant(factor.input("IOR"))
             fields.values["factor_fresnel_ior"] = max(float(ior), 1e-5)

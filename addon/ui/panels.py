@@ -66,7 +66,7 @@ class SVGF_PT_sampling(EnginePanel, bpy.types.Panel):
         column.prop(settings, "quality")
         column.prop(settings, "samples", text="Render Samples")
         column.prop(settings, "viewport_samples", text="Viewport")
-        column.prop(settings, "viewport_budget")
+        column.prop(settings, "viewport_budget", text="Frame Budget (ms)")
 
 
 class SVGF_PT_sampling_advanced(EnginePanel, bpy.types.Panel):
@@ -121,7 +121,9 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
             if item.name == "history_seconds" and _is_read_by(settings.method, item):
                 denoise = settings.to_settings().denoise
                 seconds = denoise.longest_history / denoise.frame_rate
-                column.label(text=f"{seconds:.2f} s in playback")
+                row = column.split(factor=0.4)  # as properties are
+                row.label()
+                row.label(text=f"{seconds:.2f} s in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):

@@ -203,8 +203,8 @@ def _fill(pixels: np.ndarray, image: np.ndarray, largest: float) -> None:
         rows[..., 3] = 1
 
     starts = range(0, len(pixels), _ROWS)
-    if len(starts) == 1:
-        fill_rows(0)
+    if len(starts) <= _THREADS:
+        list(map(fill_rows, starts))
         return
     with ThreadPoolExecutor(_THREADS, "svgf paint") as threads:  # numpy lets go of Python while it works
         list(threads.map(fill_rows, starts))

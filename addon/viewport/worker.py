@@ -199,7 +199,7 @@ class Worker:
             result = self._render(request)
         measuring = self._measuring
         if measuring:
-            result = replace(result, costs=self._measure_effects(request))
+            result = self._with_costs(request, result)
         start = time.perf_counter()
         picture = paint(result.frame, request.look)
         painting = (time.perf_counter() - start) * 1e3
@@ -253,15 +253,23 @@ class Worker:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer
 
-    def _measure_effects(self, request: Request) -> dict[Effects, float]:
+    def _with_costs(self, request: Request, result: Result) -> Result:
+        """The result with what each effect costs; the picture does not depend on it, whatever goes wrong."""
         from svgf.bench.effects import measure  # seldom needed, so that views do not wait for it
 
         defaults = request.scene.defaults
         size = defaults.width, defaults.height
-        rows = measure(
-            self._prepare(request).device, request.scene.name, request.scene, size, request.settings.bounces, _RUNS
+        device, bounces = self._prepare(request).device, request.settings.bounces
+        try:
+            rows = measure(device, request.scene.name, request.scene, size, bounces, _RUNS)
+        except (DeviceError, Interrupted):
+            raise
+        except Exception as error:
+            traceback.print_exc()
+            return replace(result, note=f"What effects cost could not be measured: {error!r}.")
+        return replace(
+            result, costs={Effects[row.what]: row.on_ms - row.off_ms for row in rows if row.what in Effects.__members__}
         )
-        return {Effects[row.what]: row.on_ms - row.off_ms for row in rows if row.what in Effects.__members__}
 
     def _averaged(self, frame: Frame, samples: int) -> Frame:
         """Without a denoiser, the mean of all frames since the view came to rest is the picture."""

@@ -96,7 +96,7 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     firefly_limit: float = _setting(
-        20.0, 1.0, 1e9,
+        60.0, 1.0, 1e9,
         "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.",
     )  # fmt: skip
     specular_sharpness: float = _setting(
@@ -162,8 +162,9 @@ class Settings:
     width, height: pixels, >= 1; None: the scene's. bounces: light bounces after the first hit, >= 0 (0: direct light
     only); None: the scene's. samples: paths per pixel and frame, >= 1. seed: of the random numbers, [0, 2^32).
     method: "svgf+" (ours), "svgf" [Schied17], "eaw" [Dammertz10] or "none". signals: "diffuse_specular" or
-    "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or "auto": box for method
-    "none", else center, because a G-buffer that jitters makes edges flicker. exposure: factor on radiance, >= 0;
+    "direct_indirect", what is filtered apart. pixel_filter: "box" (the mean over the pixel), "center" (its middle) or
+    "auto": center for the papers' methods, whose edges flicker where a G-buffer jitters, else box. exposure: factor on
+    radiance, >= 0;
     None: the scene's. diffuse_bounces ... filter_glossy: see ``LightPaths``; None: the scene's. transparent_film: the
     world is left out behind the scene; None: the scene's. denoise: DenoiseSettings. diagnostics: also make the images
     of ``svgf.diagnostics``.
@@ -231,7 +232,7 @@ class Settings:
         """pixel_filter with "auto" decided."""
         if self.pixel_filter != "auto":
             return self.pixel_filter
-        return "box" if self.method == "none" else "center"
+        return "box" if self.method in ("none", "svgf+") else "center"
 
 
 def check_name(what: str, name: Any, names: tuple[str, ...]) -> None:

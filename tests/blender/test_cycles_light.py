@@ -218,6 +218,31 @@ def test_environment_image(room, tmp_path, projection):
     assert_same_picture(tmp_path, bias=0.02 if projection == "MIRROR_BALL" else 0.01)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_normal_map(room, tmp_path, mirrored):
+    """On the floor, whose UVs may be turned over: then the map's green points the other way around its red."""
+    floor, _ = room
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32) * (2, 1.5)
+    if mirrored:
+        corners[:, 0] *= -1
+    layer = floor.data.uv_layers.new(name="UVMap")
+    for corner, uv in zip(floor.data.loops, corners, strict=True):
+        layer.uv[corner.index].vector = uv
+    rows, columns = np.mgrid[0:16, 0:16]
+    pixels = np.ones((16, 16, 4))
+    pixels[..., 0] = 0.5 + 0.35 * np.sin(columns / 16 * 2 * np.pi)
+    pixels[..., 1] = 0.5 + 0.25 * np.cos(rows / 16 * 2 * np.pi)
+    material = floor.data.materials[0]
+    tree = material.node_tree
+    image, normal_map = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeNormalMap")
+    image.image = add_image("Bumps", pixels, "Non-Color", is_float=True)
+    shader = next(node for node in tree.nodes if node.type == "BSDF_DIFFUSE")
+    tree.links.new(image.outputs["Color"], normal_map.inputs["Color"])
+    tree.links.new(normal_map.outputs["Normal"], shader.inputs["Normal"])
+    add_light("AREA", energy=80, size=1.0, location=(1.5, -1, 2.5)).rotation_euler = Euler((0.3, 0.5, 0))
+    assert_same_picture(tmp_path, bias=0.01)
+
+
 @pytest.mark.parametrize("model", ["PREETHAM", "SCATTERING"])
 def test_sky(room, tmp_path, model):
     """A sky without a sun, and one with it."""

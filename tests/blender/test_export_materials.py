@@ -226,6 +226,18 @@ def test_tangents_of_anisotropy():
     assert scene.materials[0].tangent_uv_layer == -1 and "they circle around the Z axis" in only_warning(scene)
 
 
+@pytest.mark.parametrize("kind", ["ShaderNodeFresnel", "ShaderNodeLayerWeight"])
+def test_normals_of_factors_are_named(kind):
+    material = add_material()
+    mix, factor = new(material, "ShaderNodeMixShader"), new(material, kind)
+    links(material)(factor.outputs[0], mix.inputs[0])
+    links(material)(mix.outputs[0], material.node_tree.get_output_node("CYCLES").inputs["Surface"])
+    assert not exported(material)[0].warnings
+    bump = new(material, "ShaderNodeBump")
+    links(material)(bump.outputs[0], factor.inputs["Normal"])
+    assert "a normal of its own of node" in only_warning(export())
+
+
 def test_nothing_at_the_output_is_black():
     material = add_material()
     material.node_tree.links.clear()

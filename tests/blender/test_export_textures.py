@@ -405,6 +405,19 @@ def decoded(texture) -> np.ndarray:
     return texture.pixels[..., :3] * 2 - 1
 
 
+def test_tangents_of_another_uv_map_are_named():
+    material = add_material()
+    node = link_texture(material, add_image("Bumps", COLORFUL, "Non-Color"))
+    normal_map = new(material, "ShaderNodeNormalMap", uv_map="UVMap")
+    connect(material, node.outputs["Color"], normal_map.inputs["Color"])
+    connect(material, normal_map.outputs[0], principled(material).inputs["Normal"])
+    quad = add_quad(material)
+    assert not export().warnings
+    add_uv_map(quad, "Second", np.full((4, 2), 0.25))
+    normal_map.uv_map = "Second"
+    assert "takes its tangents of another UV map" in only_warning(export())
+
+
 @pytest.mark.parametrize("invert", [False, True])
 def test_bumps_are_baked_to_normal_maps(invert):
     """A plane that rises by a metre a UV, over 2 metres a UV, has a slope of one half."""

@@ -262,11 +262,12 @@ TEXTURE_CASES = [
         node_case(
             "ShaderNodeTexVoronoi",
             output,
-            {"Vector": "wide", "Detail": 2.4, "Roughness": 0.6, "Scale": 2.0},
+            {"Vector": "wide", "Detail": detail, "Roughness": 0.6, "Scale": 2.0},
             feature=feature,
             normalize=True,
         )
         for feature, output in (("F1", "Distance"), ("F2", "Color"), ("DISTANCE_TO_EDGE", "Distance"))
+        for detail in (2.4, "signed v")
     ),
     *(
         node_case("ShaderNodeTexWhiteNoise", output, {"Vector": "cells", "W": 2.0}, noise_dimensions=dimensions)
@@ -289,6 +290,19 @@ def test_colors_and_vectors(bench, kind, output, inputs, settings):
 @pytest.mark.parametrize(("kind", "output", "inputs", "settings"), TEXTURE_CASES)
 def test_textures(bench, kind, output, inputs, settings):
     run(bench, kind, output, inputs, settings)
+
+
+@pytest.mark.parametrize("settings", [
+    {"use_min": True, "min": (0.2, -0.3, 0.0)},
+    {"use_max": True, "max": (0.8, 0.6, 1.0), "scale": (1.5, 1.0, 1.0)},
+    {"mapping_x": "Y", "mapping_y": "X", "mapping_z": "NONE"},
+])  # fmt: skip
+def test_mapping_of_texture_nodes(bench, settings):
+    node = bench.add("ShaderNodeTexGradient", gradient_type="DIAGONAL")
+    for name, value in settings.items():
+        setattr(node.texture_mapping, name, value)
+    drive(bench, node, {"Vector": "wide"})
+    compare(bench, node.outputs["Color"])
 
 
 @pytest.mark.parametrize("operation", MATH)

@@ -294,6 +294,16 @@ def test_costs_of_effects_come_when_asked_for(worker, scene):
     assert ask(worker, scene, limit=5).costs == measured.costs
 
 
+def test_costs_that_cannot_be_measured_stop_no_picture(worker, scene, monkeypatch):
+    effects = pytest.importorskip("svgf.bench.effects")
+    ask(worker, scene)
+    monkeypatch.setattr(effects, "measure", lambda *_: 1 / 0)
+    worker.measure_effects()
+    result = ask(worker, scene)
+    assert "ZeroDivisionError" in result.note and not result.costs and not result.error
+    assert ask(worker, scene, limit=5).samples == 5
+
+
 def test_stopped_worker_ends_by_itself(worker, scene):
     worker.submit(Request(scene, Settings(), DEVICE, 10**6))
     worker.stop()

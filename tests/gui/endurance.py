@@ -52,6 +52,7 @@ def script() -> Iterator[float]:
         name = step.__name__
         if ARGUMENTS and name not in ARGUMENTS:
             continue
+        areas("PROPERTIES")[0].spaces.active.context = "RENDER"  # with the panels that show what a frame costs
         start_engine(samples=ENDLESS)
         yield from running()
         yield from step(few)

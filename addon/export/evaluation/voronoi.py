@@ -90,13 +90,10 @@ def voronoi_texture(
     normalize: bool,
     output: str,
 ) -> np.ndarray:
-    """The Voronoi Texture node. output: Distance, W, Radius [n]; Color, Position [n, 3].
-
-    Detail is taken as one number, its largest.
-    """
+    """The Voronoi Texture node. output: Distance, W, Radius [n]; Color, Position [n, 3]."""
     points = join_coordinates(vector, w, dimensions) * scale[:, None]
     points = np.where(np.isfinite(points), points, 0).astype(np.float32)
-    detail = float(np.clip(detail.max(), 0, _MAX_DETAIL))
+    detail = np.clip(detail, 0, _MAX_DETAIL)
     roughness = np.clip(roughness, 0, 1)
     cells = _Cells(
         dimensions, metric, np.clip(randomness, 0, 1), np.clip(smoothness / 2, 0, 0.5).astype(np.float32), exponent
@@ -213,7 +210,7 @@ def _fractal(
     cells: _Cells,
     points: np.ndarray,
     feature: str,
-    detail: float,
+    detail: np.ndarray,
     roughness: np.ndarray,
     lacunarity: np.ndarray,
     normalize: bool,
@@ -225,7 +222,7 @@ def _fractal(
 
     corner = 0.5 + 0.5 * cells.randomness
     largest = cells.distance(np.repeat(corner[:, None], cells.dimensions, 1)) * (2 if feature == "F2" else 1)
-    if detail == 0 or not roughness.any():
+    if not detail.any() or not roughness.any():
         result = octave_at(points)
         if normalize:
             result.distance = result.distance / largest
@@ -233,14 +230,13 @@ def _fractal(
     amplitude, scale = np.ones_like(roughness), np.ones_like(lacunarity)
     count, highest = len(points), np.float32(0)
     result = _Octave(np.float32(0), np.zeros((count, 3), np.float32), np.zeros_like(points))
-    for index in range(int(np.ceil(detail)) + 1):
+    for index in range(int(np.ceil(detail.max())) + 1):
         octave = octave_at(points * scale[:, None])
-        share = 1 if index <= detail else detail - np.floor(detail)
-        wide = amplitude[:, None]
+        share = _share(detail, index)
+        wide = (share * amplitude)[:, None]
         result.distance = result.distance + share * octave.distance * amplitude
-        result.color = result.color + share * octave.color * wide
-        step = (octave.position / scale[:, None] - result.position) * wide
-        result.position = result.position + share * step
+        result.color = result.color + octave.color * wide
+        result.position = result.position + (octave.position / scale[:, None] - result.position) * wide
         highest = highest + share * amplitude
         scale, amplitude = scale * lacunarity, amplitude * roughness
     if normalize:
@@ -248,29 +244,30 @@ def _fractal(
     return result
 
 
+def _share(detail: np.ndarray, octave: int) -> np.ndarray:
+    """Of an octave: whole numbers of them, and a part of the last."""
+    return np.clip(detail - np.float32(octave - 1), 0, 1)
+
+
 def _fractal_edge(
     cells: _Cells,
     points: np.ndarray,
-    detail: float,
+    detail: np.ndarray,
     roughness: np.ndarray,
     lacunarity: np.ndarray,
     normalize: bool,
 ) -> np.ndarray:
     largest = 0.5 + 0.5 * cells.randomness
-    if detail == 0 or not roughness.any():
+    if not detail.any() or not roughness.any():
         distance = _edge_distance(cells, points)
         return distance / largest if normalize else distance
     amplitude, scale = np.ones_like(roughness), np.ones_like(lacunarity)
     distance, highest = np.float32(8), largest
-    for index in range(int(np.ceil(detail)) + 1):
+    for index in range(int(np.ceil(detail.max())) + 1):
         octave = _edge_distance(cells, points * scale[:, None]) / scale
         bound = highest + (largest / scale - highest) * amplitude
         nearer = distance + (np.minimum(distance, octave) - distance) * amplitude
-        if index <= detail:
-            distance, highest = nearer, bound
-        else:
-            rest = detail - np.floor(detail)
-            distance = distance + (np.minimum(distance, nearer) - distance) * rest
-            highest = highest + (bound - highest) * rest
+        share = _share(detail, index)
+        distance, highest = distance + (nearer - distance) * share, highest + (bound - highest) * share
         scale, amplitude = scale * lacunarity, amplitude * roughness
     return distance / highest if normalize else distance

@@ -61,7 +61,6 @@ enum class SamplePair : std::uint32_t {
 struct Sampler {
     std::uint32_t pixel_key, sample;
 
-    Sampler() = default;
     // pixel: its number, row by row.
     SVGF_HD Sampler(int pixel, std::uint32_t seed, std::uint32_t sample)
         : pixel_key(mix_bits(std::uint32_t(pixel) ^ mix_bits(seed))), sample(sample) {}

@@ -9,8 +9,17 @@
 // surfaces [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show
 // several, and sky.
 //
-// Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness: a bright
-// sample does not flicker where it is rare, at any exposure. What stands still is averaged as it is: no light is lost.
+// Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness, times 16
+// where something moves: fireflies that are left do not flicker, at any exposure, and what is not that bright keeps its
+// light. What stands still is averaged as it is. Measured on the middle half of an arcade, our own tracer's, that few
+// samples light, and of Cycles' gallery of temporal_plus.h, frames 5 to 10; relMSE, FLIP and flicker over those of OIDN
+// 2.5.1, and the mean over the truth's:
+//
+//   w times 1      1.16 1.41 .907 0.919     1.38 .815 .660 0.929
+//   w times 16     1.12 1.16 .830 0.957     1.71 .795 .661 0.944
+//   linear         1.17 1.13 .845 0.962     1.83 .792 .663 0.947
+//
+// The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
 //
 // What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
@@ -27,6 +36,8 @@ namespace svgf {
 // room for as many of the noisy mean's own.
 // One of nine numbers is at most 2.83 of their deviations from their mean, so what stays the same is never clipped.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
+// Of the geometric mean of brightness, where something moves: where the average begins to compress.
+constexpr float moving_white = 16.0f;
 constexpr float still_frames = 24.0f;
 // Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
 // 4 % more variance than the plain mean has.
@@ -122,14 +133,14 @@ private:
             write(pixel, own, 1.0f);
             return;
         }
-        const Box box = look_around(tile, place);
+        const Vec3 own_motion = motion_of(pixel);
+        const bool still = motion.x == 0.0f && motion.y == 0.0f && own_motion.x == 0.0f && own_motion.y == 0.0f;
+        const Box box = look_around(tile, place, still ? 1.0f : moving_white);
         const History history = read_history(px, py, box);
         if (history.frames < 0.5f) {
             write(pixel, own, 1.0f);
             return;
         }
-        const Vec3 own_motion = motion_of(pixel);
-        const bool still = motion.x == 0.0f && motion.y == 0.0f && own_motion.x == 0.0f && own_motion.y == 0.0f;
         const bool settled = still && history.frames > still_frames - 0.5f;
         const Vec3 past = history.mapped, offset = past - box.mean;
         float margin = 0.0f;
@@ -137,7 +148,9 @@ private:
             const float deviation = fast_sqrt(noise(pixel) / history.frames);
             margin = still_margin + still_box * deviation / (box.white + center.w);
         }
-        const Vec3 extent = (still ? still_box : moving_box) * box.deviation + Vec3{margin, margin, margin};
+        const Vec3 mapped = box.map(center);
+        const Vec3 extent = still ? still_box * box.deviation + Vec3{margin, margin, margin}
+                                  : max(moving_box * box.deviation, abs(mapped - box.mean));
         const Vec3 room = max(extent, 1e-30f);
         const float excess = fast_max(fast_max(std::fabs(offset.x) * fast_reciprocal(room.x),
                                                std::fabs(offset.y) * fast_reciprocal(room.y)),
@@ -158,7 +171,7 @@ private:
             const Vec3 before = excess > 1.0f ? box.unmap(clipped) : history.color;
             write(pixel, before + (own - before) * share, frames);
         } else {
-            write(pixel, box.unmap(clipped + (box.map(center) - clipped) * share), frames);
+            write(pixel, box.unmap(clipped + (mapped - clipped) * share), frames);
         }
     }
 
@@ -178,7 +191,8 @@ private:
         return guides.nearest_pixel(x + column, y + row);
     }
 
-    SVGF_HD Box look_around(const Tile& tile, int place) const {
+    // white: of the geometric mean of brightness, where map begins to compress.
+    SVGF_HD Box look_around(const Tile& tile, int place, float white) const {
         constexpr float share = 1.0f / 9.0f;
         Box box;
         float most = tile.log_brightness[place], logarithms = 0.0f;
@@ -188,7 +202,7 @@ private:
         logarithms = fast_max(tile.log_brightness[place], least);
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) logarithms += fast_max(tile.log_brightness[place + neighbour(n)], least);
-        box.white = fast_exp2(share * logarithms);
+        box.white = white * fast_exp2(share * logarithms);
         Vec3 mapped[neighbours + 1];
         mapped[neighbours] = box.map(tile.color[place]);
         box.mean = mapped[neighbours];

@@ -41,7 +41,7 @@ namespace svgf {
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
     SETTING(change_threshold, float, 0.45, 1e-3, 1e6, "standard deviations", "",                                       \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
-    SETTING(firefly_limit, float, 20.0, 1.0, 1e9, "", "",                                                              \
+    SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
     SETTING(specular_sharpness, float, 3.5, 1.0, 1e3, "", "",                                                          \
             "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this.")                      \

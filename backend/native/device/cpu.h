@@ -77,12 +77,6 @@ public:
         launch(name, std::min(*count, capacity), stage);
     }
 
-    // A thread that finds its own work.
-    template <class Stage>
-    void launch_workers(const char* name, const Stage& stage) {
-        launch(name, 1, [&](int) { stage(); });
-    }
-
     // For the same source as on CUDA; there are no streams here.
     struct StreamScope {
         StreamScope(Device&, std::optional<uintptr_t>) {}

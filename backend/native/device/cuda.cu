@@ -40,7 +40,6 @@ std::string hint_for(cudaError_t error) {
 
 Device::Device(int index) : index_(index) {
     check(cudaSetDevice(index), "");
-    check(cudaDeviceGetAttribute(&multiprocessors_, cudaDevAttrMultiProcessorCount, index), "");
     check(cudaStreamCreate(&own_stream_), "");
     check(cudaEventCreateWithFlags(&last_work_, cudaEventDisableTiming), "");
     stream_ = own_stream_;

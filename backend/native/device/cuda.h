@@ -71,11 +71,6 @@ __global__ void __launch_bounds__(threads, blocks)
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i < *count) stage(i);
 }
-
-template <class Stage, int threads, int blocks>
-__global__ void __launch_bounds__(threads, blocks) run_workers(const __grid_constant__ Stage stage) {
-    stage();
-}
 #endif
 
 class Device : public std::enable_shared_from_this<Device> {
@@ -142,16 +137,6 @@ public:
             <<<(capacity + threads - 1) / threads, threads, 0, stream()>>>(stage, count);
         end_stage(name);
     }
-
-    // As many threads as there is room for, each of which finds its own work.
-    template <class Stage>
-    void launch_workers(const char* name, const Stage& stage) {
-        begin_stage(name);
-        constexpr LaunchShape shape = launch_shape_of<Stage>();
-        constexpr int threads = shape.width * shape.height;
-        run_workers<Stage, threads, shape.blocks><<<multiprocessors_ * shape.blocks, threads, 0, stream()>>>(stage);
-        end_stage(name);
-    }
 #endif
 
     // Milliseconds per stage since the last call, in launch order: the first word of a launch's name. by_launch: per
@@ -208,7 +193,6 @@ private:
     cudaEvent_t new_event();
 
     int index_ = 0;
-    int multiprocessors_ = 1;
     // A blocking stream: it keeps order with the legacy default stream, on which CuPy and PyTorch work by default, so
     // arrays can be handed over in both directions without waiting.
     cudaStream_t own_stream_ = nullptr;

@@ -5,7 +5,6 @@
 //   launch(name, width, height, stage)                  stage(x, y) for every pixel
 //   launch(name, count, stage)                          stage(i) for every index
 //   launch_queue(name, capacity, count, stage)          stage(i) for as many as *count, on the device, says
-//   launch_workers(name, stage)                         stage() for as many threads as run at once, which share the work
 //   launch_tiles(name, stage)                           tiles of pixels that share what they read, see below
 //   take_timings, synchronize, interrupt
 //   StreamScope                                         work on a caller's stream for a while

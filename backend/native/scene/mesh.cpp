@@ -162,7 +162,8 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         view_.triangle_count = std::int32_t(count);
     }
     if (previous.empty())
-        top_nodes_.assign(bvh.nodes.begin(), bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
+        top_nodes_.assign(bvh.nodes.begin(),
+                          bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
     if (!previous.empty()) {
         previous_positions_ = Buffer<TrianglePositions>(device, previous, "previous positions");
         view_.previous_positions = previous_positions_.data();

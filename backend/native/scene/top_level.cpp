@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstdlib>
 
 #include "device/threads.h"
 
@@ -47,8 +46,8 @@ struct Part {
     bool operator<(const Part& other) const { return box.half_area() < other.box.half_area(); }
 };
 
-// Whether an instance shares most of its space with another one. Only the largest are looked at: small ones have few rays
-// to share.
+// Whether an instance shares much of its space with another one. Only the largest are looked at: small ones meet few
+// rays.
 class OverlapsAnother {
 public:
     explicit OverlapsAnother(std::span<const Part> parts) {
@@ -109,8 +108,7 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
     std::vector<Part> heap(parts.begin(), end_of_heap);
     parts.erase(parts.begin(), end_of_heap);
     std::make_heap(heap.begin(), heap.end());
-    const char* x1 = std::getenv("SVGF_X1");
-    const std::size_t wanted = x1 ? std::size_t(std::atoi(x1)) : std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
+    const std::size_t wanted = std::min(count + leaves_per_instance * heap.size(), most_opened_leaves);
     while (!heap.empty() && parts.size() + heap.size() < wanted) {
         std::pop_heap(heap.begin(), heap.end());
         const Part part = heap.back();

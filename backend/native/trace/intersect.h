@@ -13,7 +13,6 @@
 #include <immintrin.h>
 #endif
 
-#include "core/approximate.h"
 #include "core/bits.h"
 #include "core/load.h"
 #include "core/vec.h"
@@ -46,8 +45,6 @@ struct alignas(16) Hit {
 // costs a few multiplications by 0 and 1 but no choice by index.
 struct TriangleRay {
     Vec3 origin, x, y, z;
-
-    TriangleRay() = default;
 
     SVGF_HD TriangleRay(Vec3 origin, Vec3 direction) : origin(origin) {
         const Vec3 size = abs(direction);
@@ -116,14 +113,10 @@ struct BoxRay {
     Vec3 origin, inverse_direction;
     std::uint32_t octant;  // bit k: the direction is positive along axis k
 
-    BoxRay() = default;
-
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
         // A component of zero becomes one that is too small to matter, so that no product is infinite or NaN.
         const float smallest = max(1e-15f * max_component(abs(direction)), 1e-30f);
-        const auto inverse = [smallest](float d) {
-            return fast_reciprocal(std::copysign(max(std::fabs(d), smallest), d));
-        };
+        const auto inverse = [smallest](float d) { return 1 / std::copysign(max(std::fabs(d), smallest), d); };
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
         octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |
                  (inverse_direction.z < 0 ? 0u : 4u);
@@ -132,7 +125,7 @@ struct BoxRay {
 
 // Relative error of a distance to a side, with room: the box test's own roundings, and those of the triangle test,
 // which may place a hit as far outside of the box.
-constexpr float box_margin = 10.0f / 16777216.0f;
+constexpr float box_margin = 8.0f / 16777216.0f;
 
 // The larger of three distances and t_min, and the smaller of three and t_max; t_min is not negative. On the device as
 // integers, which takes two instructions less: floats that are not negative have the order of their bits, and where one
@@ -254,22 +247,23 @@ constexpr int stack_entries = 4 * max_tree_levels;
 
 // Some of the children of a node, by its hit mask: inner ones, with the slots of all inner children in the low bits, or
 // primitives.
-struct NodeGroup {
+struct alignas(8) NodeGroup {
     std::uint32_t first, bits;
 
     SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
 };
 
-// Groups of a traversal's stack that lie in shared memory, on the device: in local memory alone they are most of a bounce
-// ray's traffic.
+// Entries of a traversal's stack that lie in shared memory, on the device; 0: none.
+#if !defined(SVGF_STACK_SHARED)
+#define SVGF_STACK_SHARED 8
+#endif
 #if defined(__CUDA_ARCH__)
-constexpr int shared_stack_entries = 8, shared_stack_threads = 128;  // of a block
+constexpr int shared_stack_entries = SVGF_STACK_SHARED, shared_stack_threads = 128;  // of a block
 #else
 constexpr int shared_stack_entries = 0;
 #endif
 
-// The rest of them. Apart from all else that belongs to a traversal, which the compiler keeps in registers only if it is
-// not in one record with what it must address.
+// The rest of them.
 struct StackMemory {
     NodeGroup groups[stack_entries - shared_stack_entries];
 };
@@ -277,40 +271,35 @@ struct StackMemory {
 // What a ray has still to visit. All traversals of a kernel use the same shared memory, one after the other.
 class TraversalStack {
 public:
-    SVGF_HD void clear() { size_ = 0; }
+    SVGF_HD explicit TraversalStack(StackMemory& memory) : groups_(memory.groups) {}
+
     SVGF_HD bool is_empty() const { return size_ == 0; }
     SVGF_HD int size() const { return size_; }
 
-#if defined(__CUDA_ARCH__)
-    __device__ explicit TraversalStack(StackMemory& memory) : groups_(memory.groups) {
-        __shared__ uint2 entries[shared_stack_entries * shared_stack_threads];
-        shared_ = entries + threadIdx.y * blockDim.x + threadIdx.x;
-    }
-    __device__ void push(NodeGroup group) {
+    SVGF_HD void push(NodeGroup group) {
         if (size_ < shared_stack_entries)
-            shared_[shared_stack_threads * size_] = {group.first, group.bits};
+            shared(size_) = group;
         else
             groups_[size_ - shared_stack_entries] = group;
         ++size_;
     }
-    __device__ NodeGroup pop() {
+    SVGF_HD NodeGroup pop() {
         --size_;
-        if (size_ >= shared_stack_entries) return groups_[size_ - shared_stack_entries];
-        const uint2 entry = shared_[shared_stack_threads * size_];
-        return {entry.x, entry.y};
+        return size_ < shared_stack_entries ? shared(size_) : groups_[size_ - shared_stack_entries];
     }
-#else
-    explicit TraversalStack(StackMemory& memory) : groups_(memory.groups) {}
-    void push(NodeGroup group) { groups_[size_++] = group; }
-    NodeGroup pop() { return groups_[--size_]; }
-#endif
 
 private:
+#if defined(__CUDA_ARCH__)
+    static __device__ NodeGroup& shared(int entry) {
+        __shared__ uint2 entries[shared_stack_entries > 0 ? shared_stack_entries : 1][shared_stack_threads];
+        return reinterpret_cast<NodeGroup&>(entries[entry][threadIdx.y * blockDim.x + threadIdx.x]);
+    }
+#else
+    NodeGroup& shared(int) { return groups_[0]; }  // never called
+#endif
+
     NodeGroup* groups_;
     int size_ = 0;
-#if defined(__CUDA_ARCH__)
-    uint2* shared_;
-#endif
 };
 
 // Whether so few threads of the warp have primitives to test that they had better wait for others, and go on with nodes
@@ -328,131 +317,91 @@ struct NothingPasses {
     SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
 };
 
-// The way of a ray through the scene, step by step. With any_hit the first hit ends it, else the closest one is found.
-template <bool any_hit>
-class Traversal {
-public:
-    Hit hit;  // without any_hit the closest one so far
-
-    SVGF_HD Traversal(const SceneView& scene, StackMemory& memory) : scene_(scene), stack_(memory) {}
-
-    SVGF_HD void start(const Ray& ray) {
-        constexpr NodeGroup only_leaf{0, 1u};
-        ray_ = ray;
-        hit = {};
-        stack_.clear();
-        t_max_ = ray.t_max;
-        group_ = scene_.has_one_leaf ? only_leaf : root;
-        leave_instance();
-    }
-
-    SVGF_HD bool found() const { return t_max_ < ray_.t_max; }
-
-    // Goes on by a node and by primitives. Returns whether there is more to do. passes(triangle_ray, triangle, hit) is
-    // asked about every hit that would count, in any order, and says whether the ray goes on as if it were not there.
-    template <class Passes>
-    SVGF_HD bool advance(Passes& passes) {
+// Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
+// becomes the closest one. passes(triangle_ray, triangle, hit) is asked about every hit that would count, in any order,
+// and says whether the ray goes on as if it were not there.
+template <bool any_hit, class Passes>
+SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
+    constexpr NodeGroup root{0, 1u << 31}, only_leaf{0, 1u};
+    StackMemory memory;
+    TraversalStack stack(memory);
+    int instance_floor = 0;      // stack size at which the current instance is done
+    std::int32_t instance = -1;  // -1: in the top level
+    const WideNode* nodes = scene.nodes;
+    const LeafTriangle* triangles = nullptr;
+    BoxRay box_ray(ray.origin, ray.direction);
+    TriangleRay triangle_ray(ray.origin, ray.direction);
+    float t_max = ray.t_max;
+    NodeGroup group = scene.has_one_leaf ? only_leaf : root;
+    for (;;) {
         NodeGroup primitives;
-        if (group_.has_nodes()) {
-            const int bit = highest_set_bit(group_.bits);
-            group_.bits ^= 1u << bit;
-            const std::uint32_t slot = std::uint32_t(bit - WideNode::inner_bit) ^ box_ray_.octant;
-            const std::uint32_t before = group_.bits & ((1u << slot) - 1) & 0xffu;
-            const std::uint32_t child = group_.first + std::uint32_t(count_set_bits(before));
-            if (group_.has_nodes()) stack_.push(group_);
-            const WideNode& node = load(nodes_ + child);
-            const std::uint32_t mask = intersect_children(node, box_ray_, ray_.t_min, t_max_);
-            group_ = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
+        if (group.has_nodes()) {
+            const int bit = highest_set_bit(group.bits);
+            group.bits ^= 1u << bit;
+            const std::uint32_t slot = std::uint32_t(bit - WideNode::inner_bit) ^ box_ray.octant;
+            const std::uint32_t before = group.bits & ((1u << slot) - 1) & 0xffu;
+            const std::uint32_t child = group.first + std::uint32_t(count_set_bits(before));
+            if (group.has_nodes()) stack.push(group);
+            const WideNode& node = load(nodes + child);
+            const std::uint32_t mask = intersect_children(node, box_ray, ray.t_min, t_max);
+            group = {node.first_child, (mask & 0xff000000u) | node.inner_slots()};
             primitives = {node.first_primitive, mask & 0x00ffffffu};
         } else {
-            primitives = group_;
-            group_.bits = 0;
+            primitives = group;
+            group.bits = 0;
         }
         while (primitives.bits) {
             const std::uint32_t i = primitives.first + std::uint32_t(lowest_set_bit(primitives.bits));
             primitives.bits &= primitives.bits - 1;
-            if (instance_ < 0) {
-                const TopLeaf leaf = scene_.top_leaves[i];
-                const Instance& placed = load(scene_.instances + leaf.instance);
-                if ((placed.visibility & ray_.kind) == 0) continue;
-                if (group_.has_nodes()) stack_.push(group_);
-                if (primitives.bits) stack_.push(primitives);
-                enter(leaf, placed);
+            if (instance < 0) {
+                const TopLeaf leaf = scene.top_leaves[i];
+                const Instance& placed = load(scene.instances + leaf.instance);
+                if ((placed.visibility & ray.kind) == 0) continue;
+                if (group.has_nodes()) stack.push(group);
+                if (primitives.bits) stack.push(primitives);
+                instance_floor = stack.size();
+                instance = leaf.instance;
+                const MeshView& mesh = scene.meshes[placed.mesh];
+                const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
+                const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
+                nodes = mesh.nodes;
+                triangles = mesh.triangles;
+                box_ray = BoxRay(origin, direction);
+                triangle_ray = TriangleRay(origin, direction);
+                group = {leaf.first, leaf.bits};
+                if (!group.has_nodes()) stack.push(group);
                 break;
             }
-            if (group_.has_nodes() && is_lonely()) {
+            if (group.has_nodes() && is_lonely()) {
                 primitives.bits |= 1u << (i - primitives.first);
-                stack_.push(primitives);
+                stack.push(primitives);
                 break;
             }
-            const LeafTriangle& triangle = load(triangles_ + i);
+            const LeafTriangle& triangle = load(triangles + i);
             float t, weight1, weight2;
-            if (!intersect_triangle(triangle_ray_, triangle, t, weight1, weight2)) continue;
-            if (!(t > ray_.t_min && t < ray_.t_max && t <= t_max_)) continue;
-            const Hit found{t, weight1, weight2, instance_, triangle.index, std::int32_t(i)};
+            if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
+            if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
+            const Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
             if constexpr (!any_hit) {
-                const bool closer = t < t_max_ || instance_ < hit.instance ||
-                                    (instance_ == hit.instance && found.triangle < hit.triangle);
+                const bool closer = t < t_max || instance < hit.instance ||
+                                    (instance == hit.instance && found.triangle < hit.triangle);
                 if (!closer) continue;
             }
-            if (passes(triangle_ray_, triangle, found)) continue;
-            t_max_ = t;
-            if constexpr (any_hit) return false;
+            if (passes(triangle_ray, triangle, found)) continue;
+            if constexpr (any_hit) return true;
+            t_max = t;
             hit = found;
         }
-        if (group_.has_nodes()) return true;
-        if (stack_.is_empty()) return false;
-        if (instance_ >= 0 && stack_.size() == instance_floor_) leave_instance();
-        group_ = stack_.pop();
-        return true;
+        if (group.has_nodes()) continue;
+        if (stack.is_empty()) break;
+        if (instance >= 0 && stack.size() == instance_floor) {
+            instance = -1;
+            nodes = scene.nodes;
+            box_ray = BoxRay(ray.origin, ray.direction);
+        }
+        group = stack.pop();
     }
-
-private:
-    static constexpr NodeGroup root{0, 1u << 31};
-
-    SVGF_HD void enter(const TopLeaf& leaf, const Instance& placed) {
-        instance_floor_ = stack_.size();
-        instance_ = leaf.instance;
-        const MeshView& mesh = scene_.meshes[placed.mesh];
-        const Vec3 origin = transform_point(placed.world_to_object, ray_.origin);
-        const Vec3 direction = transform_vector(placed.world_to_object, ray_.direction);
-        nodes_ = mesh.nodes;
-        triangles_ = mesh.triangles;
-        box_ray_ = BoxRay(origin, direction);
-        triangle_ray_ = TriangleRay(origin, direction);
-        group_ = {leaf.first, leaf.bits};
-        if (!group_.has_nodes()) stack_.push(group_);
-    }
-
-    SVGF_HD void leave_instance() {
-        instance_ = -1;
-        nodes_ = scene_.nodes;
-        box_ray_ = BoxRay(ray_.origin, ray_.direction);
-    }
-
-    const SceneView& scene_;
-    Ray ray_;
-    float t_max_;
-    NodeGroup group_;
-    TraversalStack stack_;
-    int instance_floor_ = 0;      // stack size at which the current instance is done
-    std::int32_t instance_ = -1;  // -1: in the top level
-    const WideNode* nodes_ = nullptr;
-    const LeafTriangle* triangles_ = nullptr;
-    BoxRay box_ray_;
-    TriangleRay triangle_ray_;  // in the current instance
-};
-
-// Returns whether there is a hit. Without any_hit, hit becomes the closest one.
-template <bool any_hit, class Passes>
-SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
-    StackMemory memory;
-    Traversal<any_hit> traversal(scene, memory);
-    traversal.start(ray);
-    while (traversal.advance(passes)) {
-    }
-    if constexpr (!any_hit) hit = traversal.hit;
-    return traversal.found();
+    return t_max < ray.t_max;
 }
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {

@@ -34,7 +34,8 @@ OpacityClass class_of(const OpacityTable::Scene& scene, const Material& material
             const auto is_opaque = [&](std::int32_t part) {
                 return class_of(scene, scene.materials[std::size_t(part)]) == OpacityClass::opaque;
             };
-            return is_opaque(material.first) && is_opaque(material.second) ? OpacityClass::opaque : OpacityClass::shaded;
+            const bool both = is_opaque(material.first) && is_opaque(material.second);
+            return both ? OpacityClass::opaque : OpacityClass::shaded;
         }
         case MaterialKind::transparent:
             return material.map_count == 0 && min_component(material.base_color) >= 1.0f ? OpacityClass::clear
@@ -49,7 +50,8 @@ OpacityClass class_of(const OpacityTable::Scene& scene, const Material& material
         const bool is_covered = texture.view().extension != Extension::clip;
         alpha = {0.0f, 1.0f};
         if (keeps_ranges(texture.view(), map.channel))
-            alpha = {is_covered ? channel_of(texture.low(), map.channel) : 0.0f, channel_of(texture.high(), map.channel)};
+            alpha = {is_covered ? channel_of(texture.low(), map.channel) : 0.0f,
+                     channel_of(texture.high(), map.channel)};
     }
     const OpacityClass found = alpha.opacity();
     const bool shines = max_component(material.emission) > 0.0f;
@@ -103,7 +105,8 @@ private:
 
     // The texels that coordinates from low to high read along one axis, numbered from a whole number of images. False
     // where they are too many, or rounding makes them unsure.
-    SVGF_HD static bool find_texels(float low, float high, int size, const TextureView& texture, int& first, int& last) {
+    SVGF_HD static bool find_texels(float low, float high, int size, const TextureView& texture, int& first,
+                                    int& last) {
         if (!(max(std::fabs(low), std::fabs(high)) * float(size) < float(1 << 20))) return false;
         // Beside the point, and one more for roundings.
         const float around = texture.interpolation == Interpolation::cubic ? 3.0f : 2.0f;

@@ -82,14 +82,12 @@ struct PathVertices {
         return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
-    // Whether of the ray of a path that ends, where scene.last_hits_are_dark, it matters where it hits.
-    SVGF_HD bool needs_distance(const Ray& ray, bool measures_distance) const {
-        return measures_distance || crosses_finite_lamp(ray);
-    }
-
-    // Surfaces that a path may still pass. One may always be passed.
-    SVGF_HD int allowed(int transparent_bounces) const {
-        return max(limits.transparent_bounces, 1) - transparent_bounces;
+    // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
+    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                              bool measures_distance) const {
+        if (measures_distance || crosses_finite_lamp(ray))
+            return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
@@ -105,7 +103,8 @@ struct PathVertices {
             return false;
         }
         if (path.ends && scene.last_hits_are_dark && !path.measures_distance) return false;
-        Surface surface = find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
+        Surface surface =
+            find_surface<kernel>(scene, hit, -ray.direction, surface_choice<kernel>(sampler, vertex, hit));
         if (!is_known && max_component(surface.emission) > 0.0f) add_emission(path, surface, hit, light);
         if constexpr (has_alpha) {
             // As in Cycles: the surface after the last that may be passed only shines, and one may always be passed.
@@ -147,11 +146,7 @@ struct PathVertices {
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
-        add_share(shadow, find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces), light);
-    }
-
-    // The same, for the share of it that arrives.
-    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
+        const Vec3 share = find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces);
         if (max_component(share) > 0.0f)
             add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
@@ -159,6 +154,11 @@ struct PathVertices {
 private:
     static constexpr bool has_limits = covers(kernel, Effects::light_path_limits);
     static constexpr bool has_alpha = covers(kernel, Effects::alpha);
+
+    // Surfaces that a path may still pass. One may always be passed.
+    SVGF_HD int allowed(int transparent_bounces) const {
+        return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
 
     // At a surface of the chain. The first one that does not go on with it is what the pixel sees.
     SVGF_HD void leave_or_follow_chain(Path& path, const Bsdf<kernel>& bsdf, const BsdfSample& next) const {
@@ -382,10 +382,9 @@ struct PathStage {
             Hit hit;
             if (vertex == 0 && in_hit)
                 hit = in_hit[pixel];
-            else if (path.ends && vertices.scene.last_hits_are_dark &&
-                     !vertices.needs_distance(path.ray, path.measures_distance))
-                hit = find_any_path_hit<kernel>(vertices.scene, path.ray, sampler, vertex,
-                                                vertices.allowed(path.transparent_bounces));
+            else if (path.ends && vertices.scene.last_hits_are_dark)
+                hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces,
+                                             path.measures_distance);
             else
                 hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;

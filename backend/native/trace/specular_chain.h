@@ -3,8 +3,8 @@
 // G-buffer (primary surface replacement), and the light that it sends by itself is written without noise.
 //
 // Works on the pixels whose first surface is smooth and not diffuse. From each such surface one direction is followed,
-// the mirrored or the refracted one, whichever carries more, at most `longest_chain` (8) times; what it is multiplied by is
-// the albedo of the link. The surface where the chain ends is the one that the pixel sees:
+// the mirrored or the refracted one, whichever carries more, at most `longest_chain` (8) times; what it is multiplied
+// by is the albedo of the link. The surface where the chain ends is the one that the pixel sees:
 //
 //   normal          its normal, turned back by all mirrors and bends of the chain into the camera's view
 //   depth           planar, of a point on the primary ray as far away as the chain is long
@@ -17,6 +17,26 @@
 // whole chain is divided into signals at the seen surface; what goes elsewhere at a link is specular. So radiance is
 // the same sum as before, and each signal goes with its albedo. Only the light of what the chain meets (emission, lamps
 // and the world) is not left to the path, which may choose another lobe: its mean over that choice is written here.
+//
+// A surface is smooth if its roughness is so small that its lobe is a mirror (microfacet.h), and not diffuse if its
+// diffuse albedo is 0. Depth is the way along the chain, not the optical image's: curved mirrors and lenses shrink what
+// is behind them, and that is in the depth gradient and the motion. Measured, of moves by 4 and 13 pixels: motion in a
+// chrome ball is right to 0.01 pixels, in a glass ball to 4 %; of flat mirrors and panes it is exact.
+// A room with a mirror floor, a chrome and a glass ball, a pane and patterned walls (half of the pixels are smooth,
+// camera and balls move, 128x72, 1 spp, 14 frames), and the toys (2 % smooth, 160x90, 10 frames); relMSE of all and of
+// the smooth pixels, FLIP and flicker:
+//
+//   room  svgf+  without  0.594 1.165 0.219 0.0514      toys  svgf+  without  0.1081 0.250 0.1471 0.0305
+//                with     0.059 0.084 0.219 0.0485                   with     0.1064 0.168 0.1470 0.0305
+//   room  svgf   without  0.856 1.676 0.214 0.0517      toys  svgf   without  0.346  0.993 0.1143 0.0314
+//                with     0.308 0.572 0.152 0.0481                   with     0.349  0.740 0.1144 0.0317
+//
+// Cornell, 2 % smooth: relMSE of the smooth pixels 0.0448 -> 0.0393 with svgf+ and 0.0721 -> 0.0574 with svgf; their
+// FLIP grows from 0.127 to 0.153 with svgf+ and falls from 0.133 to 0.128 with svgf; all else is the same.
+//
+// Costs nothing without smooth surfaces. On an H200 at 1920x1080 stage "gbuffer" grows from 0.39 to 0.64 ms in cornell
+// and from 1.05 to 1.45 in toys (2 % of the pixels each), and to 4.4 ms where 62 % of the pixels are mirrors and glass
+// and all move; stage "path" by 1 to 4 %.
 #pragma once
 
 #include "trace/gbuffer.h"

@@ -545,20 +545,15 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
     Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
     Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
     Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
-    // The queues of a vertex and the next one, and of shadow rays; for all vertices their lengths, and how many of them
-    // are taken.
+    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
     Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
-    Buffer<std::int32_t> counts(device_, 4 * std::size_t(vertex_count) + 2, "queues");
+    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
     const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
     const auto path_queue = [&](int vertex) {
         return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
     };
     const auto shadow_queue = [&](int vertex) {
         return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
-    };
-    const int fewest = std::getenv("SVGF_X2") ? std::atoi(std::getenv("SVGF_X2")) : 16;
-    const auto rays_of = [&](const PixelQueue& queue) {
-        return RayQueue{queue.pixels, queue.count, queue.count + 2 * vertex_count + 1, fewest};
     };
     std::uint32_t sample = frame.sample;
     for (int i = 0; i < frame.samples; ++i, ++sample) {
@@ -572,21 +567,24 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
         device_.launch("path shade", width, height,
                        FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
                                                path_queue(1), shadow_queue(0)});
-        device_.launch_workers("path shadow", ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0,
-                                                                  rays_of(shadow_queue(0))});
+        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
+                             ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0, shadow_queue(0).pixels});
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
             const PixelQueue queue = path_queue(vertex);
-            const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, rays_of(queue)};
-            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark)
-                device_.launch_workers("path extend", LastExtendStage<kernel>{extend});
+            const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, queue.pixels};
+            // Those that leave the first surface mostly measure a distance, if it has specular lobes.
+            const bool measures_distance = vertex == 1 && covers(kernel, Effects::specular);
+            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark && !measures_distance)
+                device_.launch_queue("path extend", pixels, queue.count, LastExtendStage<kernel>{extend});
             else
-                device_.launch_workers("path extend", extend);
+                device_.launch_queue("path extend", pixels, queue.count, extend);
             device_.launch_queue("path shade", pixels, queue.count,
                                  ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
                                                     path_queue(vertex + 1), shadow_queue(vertex)});
             if (vertex + 1 < vertex_count)
-                device_.launch_workers("path shadow", ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
-                                                                          rays_of(shadow_queue(vertex))});
+                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
+                                     ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
+                                                         shadow_queue(vertex).pixels});
             // Many vertices are rarely used up, and a launch for nothing costs time, too.
             if (vertex % 16 == 0) {
                 std::int32_t left;

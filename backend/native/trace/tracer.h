@@ -116,9 +116,9 @@ public:
     // Stages "gbuffer" and "path". The images: "normal" 3, "depth", "depth_gradient" 2, "object_id" (int),
     // "material_id" (int), "roughness", "diffuse_albedo" 3, "specular_albedo" 3, "motion" 3, of the first sample; and
     // "emission" 3 and the signals, 3 each, means over the samples. The signals are "diffuse" and "specular", or
-    // "direct" and "indirect". "hit_distance", of the first sample: in metres from the seen surface to what its specular
-    // lobes' ray hit next, background_depth for the world, 0 where the path took no such ray. With perfect_specular
-    // among the effects, all but "material_id" are of what is seen in mirrors and through clear glass
+    // "direct" and "indirect". "hit_distance", of the first sample: in metres from the seen surface to what its
+    // specular lobes' ray hit next, background_depth for the world, 0 where the path took no such ray. With
+    // perfect_specular among the effects, all but "material_id" are of what is seen in mirrors and through clear glass
     // (trace/specular_chain.h), and "first_normal" 3, "first_depth", "first_object_id" (int) and "first_motion" 3 of
     // what the camera's ray hits. Left out: "specular", "specular_albedo" and "hit_distance" where the effects lack
     // specular, "motion" and "first_motion" where nothing moves. With a transparent film, "alpha" too.

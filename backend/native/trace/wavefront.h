@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "path" on the GPU: all paths go from vertex to vertex together, in three launches each [Laine13].
 //
-//   extend  closest hits of the rays that the paths follow
+//   extend  closest hits of the rays that the paths follow; of their last ones, mostly, whether there are any
 //   shade   light found at the vertices, the paths' next rays and their shadow rays
 //   shadow  whether the shadow rays arrive
 //
@@ -116,58 +116,6 @@ struct PathMemory {
     Hit* hits;
 };
 
-// Rays that wait to be traced.
-struct RayQueue {
-    const std::int32_t* pixels;
-    const std::int32_t* count;
-    std::int32_t* next;  // the first one that no thread has taken
-    int fewest;
-
-    // The pixel of one that no other thread gets; -1: there is none.
-    SVGF_HD int take() const {
-        const int i = append(next);
-        return i < *count ? pixels[i] : -1;
-    }
-};
-
-// Whether so few threads of the warp still trace that the others had better take new rays.
-SVGF_HD inline bool few_are_busy([[maybe_unused]] int fewest) {
-#if defined(__CUDA_ARCH__)
-    return __popc(__activemask()) < fewest;
-#else
-    return false;
-#endif
-}
-
-// Traces rays of a queue until it is empty. A thread whose ray is done takes another while the rest of its warp goes on
-// [Aila09], as rays that bounce about differ much in length.
-// start(pixel, ray) says whether there is anything to trace; finish(pixel, traversal) takes the result.
-template <bool any_hit, class Passes, class Start, class Finish>
-SVGF_HD void trace_queue(const SceneView& scene, const RayQueue& queue, Passes& passes, const Start& start,
-                         const Finish& finish) {
-    StackMemory memory;
-    Traversal<any_hit> traversal(scene, memory);
-    int pixel = -1;
-    for (;;) {
-        if (pixel < 0) {
-            pixel = queue.take();
-            if (pixel < 0) return;
-            Ray ray;
-            if (!start(pixel, ray)) {
-                pixel = -1;
-                continue;
-            }
-            traversal.start(ray);
-        }
-        bool goes_on;
-        do goes_on = traversal.advance(passes);
-        while (goes_on && !few_are_busy(queue.fewest));
-        if (goes_on) continue;
-        finish(pixel, traversal);
-        pixel = -1;
-    }
-}
-
 template <Effects kernel>
 struct ExtendStage {
     static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
@@ -176,51 +124,29 @@ struct ExtendStage {
     PathMemory memory;
     std::uint32_t sample, seed;
     int vertex;  // at which the rays end
-    RayQueue queue;
+    const std::int32_t* in_pixels;
 
-    SVGF_HD void operator()() const {
-        PassedDistances distances;
-        PathPasses<kernel> passes{vertices.scene, {}, vertex, distances};
-        const auto start = [&](int pixel, Ray& ray) {
-            ray = memory.paths[pixel].ray();
-            passes.sampler = Sampler(pixel, seed, sample);
-            passes.passed = 0;
-            return true;
-        };
-        const auto finish = [&](int pixel, const Traversal<false>& traversal) {
-            const PathRecord& path = memory.paths[pixel];
-            store(memory.hits + pixel, finish_path_hit(path.ray(), vertices.allowed(path.transparent_bounces()),
-                                                       traversal.hit, passes));
-        };
-        trace_queue<false>(vertices.scene, queue, passes, start, finish);
+    SVGF_HD void operator()(int i) const {
+        const int pixel = in_pixels[i];
+        const PathRecord& path = memory.paths[pixel];
+        const Sampler sampler(pixel, seed, sample);
+        store(memory.hits + pixel,
+              vertices.find_hit(sampler, vertex, path.ray(), path.transparent_bounces()));
     }
 };
 
 // The last rays of paths, where scene.last_hits_are_dark.
 template <Effects kernel>
 struct LastExtendStage : ExtendStage<kernel> {
-    SVGF_HD void operator()() const {
-        const PathVertices<kernel>& vertices = this->vertices;
-        const PathMemory& memory = this->memory;
-        PassedDistances distances;
-        PathPasses<kernel> passes{vertices.scene, {}, this->vertex, distances};
-        const auto start = [&](int pixel, Ray& ray) {
-            const PathRecord& path = memory.paths[pixel];
-            ray = path.ray();
-            passes.sampler = Sampler(pixel, this->seed, this->sample);
-            passes.passed = 0;
-            if (!vertices.needs_distance(ray, path.measures_distance())) return true;
-            store(memory.hits + pixel,
-                  find_path_hit_apart<kernel>(vertices.scene, ray, passes.sampler, this->vertex,
-                                              vertices.allowed(path.transparent_bounces())));
-            return false;
-        };
-        const auto finish = [&](int pixel, const Traversal<true>& traversal) {
-            const PathRecord& path = memory.paths[pixel];
-            const bool stops = passes.passed > vertices.allowed(path.transparent_bounces());
-            store(memory.hits + pixel, any_path_hit(path.ray(), traversal.found() || stops));
-        };
-        trace_queue<true>(vertices.scene, this->queue, passes, start, finish);
+    using ExtendStage<kernel>::launch_shape;
+
+    SVGF_HD void operator()(int i) const {
+        const int pixel = this->in_pixels[i];
+        const PathRecord& path = this->memory.paths[pixel];
+        const Sampler sampler(pixel, this->seed, this->sample);
+        store(this->memory.hits + pixel,
+              this->vertices.find_last_hit(sampler, this->vertex, path.ray(), path.transparent_bounces(),
+                                           path.measures_distance()));
     }
 };
 
@@ -291,26 +217,14 @@ struct ShadowStage {
     PathMemory memory;
     std::uint32_t sample, seed;
     int vertex;  // from which the rays start
-    RayQueue queue;
+    const std::int32_t* in_pixels;
 
-    SVGF_HD void operator()() const {
-        ShadowPasses<kernel> passes{vertices.scene, {}, vertex, {}, 0};
-        const auto start = [&](int pixel, Ray& ray) {
-            const ShadowRecord shadow = load(memory.shadows + pixel);
-            ray = shadow.shadow().ray;
-            passes.sampler = Sampler(pixel, seed, sample);
-            passes.view = -normalize(ray.direction);
-            passes.allowed = shadow.surfaces;
-            for (double& left : passes.left) left = 1;
-            return true;
-        };
-        const auto finish = [&](int pixel, const Traversal<true>& traversal) {
-            if (traversal.found()) return;
-            Gathered light = load(memory.gathered + pixel).gathered();
-            vertices.add_share(load(memory.shadows + pixel).shadow(), passes.share(), light);
-            store(memory.gathered + pixel, GatheredRecord(light));
-        };
-        trace_queue<true>(vertices.scene, queue, passes, start, finish);
+    SVGF_HD void operator()(int i) const {
+        const int pixel = in_pixels[i];
+        const Sampler sampler(pixel, seed, sample);
+        Gathered light = load(memory.gathered + pixel).gathered();
+        vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
+        store(memory.gathered + pixel, GatheredRecord(light));
     }
 };
 

@@ -11,6 +11,8 @@ from .guides import namespace
 
 # Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
 MOVING_BOX = 1.0
+# Of the geometric mean of brightness, where something moves: where the average begins to compress.
+MOVING_WHITE = 16.0
 STILL_BOX = 4.0
 STILL_MARGIN = 0.02
 STILL_FRAMES = 24.0
@@ -30,10 +32,9 @@ class Resolved:
 def antialias(
     color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
 ) -> Resolved:
-    """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired;
-    noise [H, W]: the variance of its luminance. changed bool [H, W]: light has just
-    changed. depth [H, W]. motion [H, W, 2 or
-    3], None: nothing moved."""
+    """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired; noise [H, W]: the variance
+    of its luminance. changed bool [H, W]: light has just changed. depth [H, W]. motion [H, W, 2 or 3], None: nothing
+    moved."""
     xp = namespace(color)
     height, width = depth.shape
     rows, columns = xp.meshgrid(xp.arange(height), xp.arange(width), indexing="ij")
@@ -46,8 +47,15 @@ def antialias(
         for dy in (-1, 0, 1)
         for dx in (-1, 0, 1)
     ]
+    # What stands in front leads: its own pixel where no other is nearer.
+    front, nearest = motion, depth
+    for at in taps:
+        nearer = depth[at] < nearest
+        front = xp.where(nearer[..., None], motion[at], front)
+        nearest = xp.where(nearer, depth[at], nearest)
+    still = (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
     colors = xp.stack([color[at] for at in taps])
-    white = _white(colors)
+    white = _white(colors) * xp.where(still, 1.0, MOVING_WHITE)
 
     def map_(c: Any) -> Any:
         return c / (white[..., None] + c.max(axis=-1, keepdims=True) + 1e-30)
@@ -58,12 +66,6 @@ def antialias(
     mapped = xp.stack([map_(c) for c in colors])
     mean, deviation = mapped.mean(axis=0), mapped.std(axis=0)
 
-    # What stands in front leads: its own pixel where no other is nearer.
-    front, nearest = motion, depth
-    for at in taps:
-        nearer = depth[at] < nearest
-        front = xp.where(nearer[..., None], motion[at], front)
-        nearest = xp.where(nearer, depth[at], nearest)
     x, y = columns + front[..., 0], rows + front[..., 1]
     reachable = (x >= 0.0) & (y >= 0.0) & (x <= width - 1) & (y <= height - 1)
     x, y = xp.where(reachable, x, 0.0), xp.where(reachable, y, 0.0)
@@ -81,11 +83,12 @@ def antialias(
                 frames = frames + share * history.frames[row, column]
 
     known = frames > 0.5
-    still = known & (front == 0.0).all(axis=-1) & (motion == 0.0).all(axis=-1)
+    still &= known
     settled = still & (frames > STILL_FRAMES - 0.5)
     uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
     margin = xp.where(settled, STILL_MARGIN + uncertain, 0.0)[..., None]
-    extent = xp.where(still[..., None], STILL_BOX, MOVING_BOX) * deviation + margin
+    moving = xp.maximum(MOVING_BOX * deviation, xp.abs(map_(color) - mean))
+    extent = xp.where(still[..., None], STILL_BOX * deviation + margin, moving)
     excess = (xp.abs(past - mean) / xp.maximum(extent, 1e-30)).max(axis=-1)
     goes_on = settled & (excess <= 1.0) & ~changed
     kept = xp.where((settled & ~goes_on) | (still & changed), 0.0, frames)

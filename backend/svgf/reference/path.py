@@ -154,8 +154,8 @@ def trace_paths(
     while len(paths.pixel):
         if vertex:
             hits, passed = find_path_hits(
-                scene, keys[paths.pixel], sample_number, vertex, paths.origin, paths.direction, paths.t_min, paths.t_max,
-                paths.kind, max(limits.transparent_bounces, 1) - paths.transparent_bounces,
+                scene, keys[paths.pixel], sample_number, vertex, paths.origin, paths.direction, paths.t_min,
+                paths.t_max, paths.kind, max(limits.transparent_bounces, 1) - paths.transparent_bounces,
             )  # fmt: skip
         paths.transparent_bounces = paths.transparent_bounces + passed
         is_known = paths.on_chain & (paths.links > 0) & (chain_light is not None)

@@ -237,8 +237,8 @@ def replace_smooth_surfaces(
     images: dict[str, np.ndarray],
 ) -> np.ndarray:
     """Writes what mirrors and glass show over the images of trace_gbuffer, and keeps what the camera's rays hit
-    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see find_path_hits. Returns
-    the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
+    themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see
+    find_path_hits. Returns the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
     for name in ("normal", "depth", "object_id", "motion"):
         images[f"first_{name}"] = images[name].copy()
     walk = _Walk(scene, rays, hits, passed, bounces, limits)
@@ -279,7 +279,8 @@ class _Walk:
             np.zeros(count, dtype=int), np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, dtype=bool)
         )
         self.link_hits: list[Hits] = []
-        self.seen_hits = Hits(np.full(count, np.inf), *(np.zeros(count, dtype=int) for _ in range(2)), np.zeros((count, 3)))  # fmt: skip
+        nowhere = np.zeros(count, dtype=int)
+        self.seen_hits = Hits(np.full(count, np.inf), nowhere, nowhere.copy(), np.zeros((count, 3)))
         self.images = {
             "normal": np.zeros((count, 3)),
             "object_id": np.zeros(count, dtype=np.int64),
@@ -354,9 +355,7 @@ class _Walk:
 
     def _add(self, rows: np.ndarray, value: np.ndarray) -> None:
         value = np.where(np.isfinite(value), value, 0.0)
-        limit = 3.0 * np.where(
-            self.chains.count[rows] > 1, self._limits.clamp_indirect, self._limits.clamp_direct
-        )
+        limit = 3.0 * np.where(self.chains.count[rows] > 1, self._limits.clamp_indirect, self._limits.clamp_direct)
         with np.errstate(divide="ignore", invalid="ignore"):
             kept = np.where(limit > 0.0, np.fmin(1.0, limit / value.sum(axis=1)), 1.0)
         self.light[rows] += value * kept[:, None]
@@ -402,13 +401,19 @@ class _Walk:
             here = count[at] == number
             if number == len(self.chains.links):
                 self.chains.links.append(
-                    Links(**{item.name: np.zeros((total, *getattr(new, item.name).shape[1:])) for item in fields(Links)})
+                    Links(
+                        **{item.name: np.zeros((total, *getattr(new, item.name).shape[1:])) for item in fields(Links)}
+                    )
                 )
                 self.link_hits.append(
-                    Hits(**{
-                        item.name: np.zeros((total, *getattr(hits, item.name).shape[1:]), getattr(hits, item.name).dtype)
-                        for item in fields(Hits)
-                    })  # fmt: skip
+                    Hits(
+                        **{
+                            item.name: np.zeros(
+                                (total, *getattr(hits, item.name).shape[1:]), getattr(hits, item.name).dtype
+                            )
+                            for item in fields(Hits)
+                        }
+                    )  # fmt: skip
                 )
             for item in fields(Links):
                 getattr(self.chains.links[number], item.name)[at[here]] = getattr(new, item.name)[here]

@@ -12,7 +12,6 @@ from .camera import Camera, pixel_centers
 from .device import Device
 from .environment import World
 from .gbuffer import PrimaryRays, trace_gbuffer
-from .intersect import Hits
 from .lights import Lights
 from .opacity import find_path_hits
 from .path import Signals, trace_paths
@@ -104,7 +103,10 @@ class Tracer:
         "direct_indirect". light_paths: the fields of svgf.scene.LightPaths, or none. transparent_film: the world is not
         seen by the camera, and there is an image "alpha". "hit_distance", of the first sample: in metres from the seen
         surface to what its specular lobes' ray hit next, 1e10 for the world, 0 where the path took no such ray. This
-        and "specular_albedo" are there only with SPECULAR, "motion" only with an effect that moves something. kernel: of no account here, there is only one.
+        and "specular_albedo" are there only with SPECULAR, "motion" only with an effect that moves something. With
+        PERFECT_SPECULAR too the images are of what mirrors and clear glass show (specular_chain.py), but "material_id",
+        and "first_normal", "first_depth", "first_object_id" and "first_motion" of what the camera's rays hit. kernel:
+        of no account here, there is only one.
         """
         camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens = (
             self._camera_rows
