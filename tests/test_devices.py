@@ -51,7 +51,7 @@ def test_auto_takes_the_fastest():
 def test_stages_are_timed_under_the_names_of_their_files(device):
     frame = Renderer(SMALL, device).render(scenes.box_scene())
     stages = ["update", "gbuffer", "path", "demodulate", "temporal", "atrous", "modulate", "antialias"]
-    # One launch can be two stages, "modulate+antialias", and on the CPU a stage has a row for each launch, "gbuffer hits".
+    # One launch can be two stages, "modulate+antialias"; on the CPU each launch of a stage has a row, "gbuffer hits".
     rows = (row.split(" ")[0] for row in frame.timings)
     assert list(dict.fromkeys(name for row in rows for name in row.split("+"))) == stages
     assert all(milliseconds >= 0 for milliseconds in frame.timings.values())
