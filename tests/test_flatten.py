@@ -167,7 +167,7 @@ def test_columns_are_those_of_the_native_source():
         for name in names.split(", "):
             columns[name] = column
             column += 3 if kind == "Vec3" else 1
-    assert column == 48 and columns.pop("unused") == 47 and columns == MATERIAL_COLUMNS
+    assert column == 48 and columns.pop("alpha_map") == 47 and columns == MATERIAL_COLUMNS
 
 
 @pytest.mark.parametrize(
@@ -322,7 +322,10 @@ def test_what_did_not_change_is_the_same_array():
 @pytest.mark.parametrize(
     "scene, expected",
     [
-        (scenes.box_scene(), Effects.SPECULAR | Effects.TRANSMISSION | Effects.AREA_LIGHTS),
+        (
+            scenes.box_scene(),
+            Effects.SPECULAR | Effects.TRANSMISSION | Effects.AREA_LIGHTS | Effects.PERFECT_SPECULAR,
+        ),
         (scenes.textured_scene(), Effects.TEXTURES | Effects.AREA_LIGHTS | Effects.ENVIRONMENT),
         (
             scenes.moving_scene(),

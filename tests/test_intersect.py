@@ -87,7 +87,7 @@ def test_closed_shapes_have_no_holes(device):
             world=World((1e6, 1e6, 1e6)),
         )
         images = trace(device, scene, bounces=8)
-        assert (images["object_id"] == 1).all()
+        assert (images["first_object_id"] == 1).all()
         assert not radiance(images).any()
 
 

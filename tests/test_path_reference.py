@@ -67,15 +67,17 @@ def test_convex_object_in_a_bright_world(device):
 
 @pytest.mark.parametrize("ior", [1.0, 1.45])
 def test_clear_glass_is_invisible_in_a_uniform_world(device, ior):
-    """Every path carries the world's light through, whether it is reflected or refracted, and however often."""
+    """The world's light comes through whole, whether it is reflected or refracted, and however often. Along the larger
+    part it comes by its mean; the smaller part, where both are there, is chosen with its probability."""
     glass = Material("clear", base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=ior)
     objects = [(scenes.sphere(1.0, rows=12, smooth=False), scenes.transform(), [glass])]
     scene = scenes.build(objects, scenes.camera((0, -4, 0), (0, 0, 0)), world=World((1, 1, 1)))
-    light = radiance(trace(device, scene, bounces=40))
-    # A few paths are caught within by total reflection until their bounces are spent.
-    assert (np.abs(light - 1) < 1e-5).all(axis=2).mean() > 0.995
     if ior == 1.0:
-        np.testing.assert_allclose(light, 1, rtol=1e-5)
+        np.testing.assert_allclose(radiance(trace(device, scene, bounces=40)), 1, rtol=1e-5)
+        return
+    samples = np.array([radiance(trace(device, scene, bounces=40, sample=i))[..., 0].mean() for i in range(64)])
+    # A few paths are caught within by total reflection until their bounces are spent: they carry nothing.
+    assert_mean(samples, 1.0, rounding=5e-4)
 
 
 def cosine_to(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -359,7 +361,11 @@ def test_splits_hold_the_same_light(device):
         assert by_bounce["indirect"].any() and by_lobe["specular"].any()
         direct = trace(device, scene, signals="direct_indirect", bounces=0)
         assert not direct["indirect"].any()
-        np.testing.assert_allclose(direct["direct"], by_bounce["direct"], rtol=1e-5, atol=1e-6 * scale)
+        # Without bounces mirrors show nothing.
+        seen = by_bounce["first_object_id"] == by_bounce["object_id"] if "first_object_id" in by_bounce else slice(None)
+        np.testing.assert_allclose(
+            direct["direct"][seen], by_bounce["direct"][seen], rtol=1e-5, atol=1e-6 * scale
+        )
 
 
 def test_scenes_without_specular_have_one_signal(device):
