@@ -243,12 +243,12 @@ class Worker:
     def _prepare(self, request: Request) -> Renderer:
         """The renderer of a request, a new one where the settings or the device are others."""
         device = "cpu" if request.device in self._lost else request.device
-        renderer = self._renderer
-        if renderer is None or renderer.settings != request.settings or self._device_name != device:
+        renderer, settings = self._renderer, _of_a_view(request.settings)
+        if renderer is None or renderer.settings != settings or self._device_name != device:
             opened = renderer.device if renderer is not None and self._device_name == device else None
             self._renderer = renderer = None  # its memory is free before the next one asks for some
             self._device_name = device
-            renderer = self._renderer = Renderer(request.settings, opened or self._open_device(device))
+            renderer = self._renderer = Renderer(settings, opened or self._open_device(device))
             if self.result.frame is not None:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer
@@ -303,6 +303,14 @@ class Worker:
 
 def _size(request: Request) -> tuple[int, int]:
     return request.scene.defaults.width, request.scene.defaults.height
+
+
+def _of_a_view(settings: Settings) -> Settings:
+    """With "auto" as the pixel filter a view of a denoiser samples pixel centres: where surfaces trade places in a pixel
+    from frame to frame, its mean would come to rest late (edges, 1.6 times as far from the truth after 256 frames)."""
+    if settings.pixel_filter == "auto" and settings.method != "none":
+        return replace(settings, pixel_filter="center")
+    return settings
 
 
 def _noise(frame: Frame) -> float:

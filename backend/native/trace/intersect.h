@@ -253,12 +253,9 @@ struct alignas(8) NodeGroup {
     SVGF_HD bool has_nodes() const { return bits >> WideNode::inner_bit; }
 };
 
-// Entries of a traversal's stack that lie in shared memory, on the device; 0: none.
-#if !defined(SVGF_STACK_SHARED)
-#define SVGF_STACK_SHARED 8
-#endif
+// Entries of a traversal's stack that lie in shared memory, on the device.
 #if defined(__CUDA_ARCH__)
-constexpr int shared_stack_entries = SVGF_STACK_SHARED, shared_stack_threads = 128;  // of a block
+constexpr int shared_stack_entries = 8, shared_stack_threads = 128;  // of a block
 #else
 constexpr int shared_stack_entries = 0;
 #endif
@@ -291,7 +288,7 @@ public:
 private:
 #if defined(__CUDA_ARCH__)
     static __device__ NodeGroup& shared(int entry) {
-        __shared__ uint2 entries[shared_stack_entries > 0 ? shared_stack_entries : 1][shared_stack_threads];
+        __shared__ uint2 entries[shared_stack_entries][shared_stack_threads];
         return reinterpret_cast<NodeGroup&>(entries[entry][threadIdx.y * blockDim.x + threadIdx.x]);
     }
 #else
