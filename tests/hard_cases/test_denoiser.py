@@ -141,9 +141,12 @@ def test_the_variance_of_a_bright_constant_does_not_cancel(device, method):
         result = denoiser.denoise(frame)
     assert_sound(result)
     np.testing.assert_allclose(result["color"], 0.5e4, rtol=ROUNDING[method])
-    # Of what is left after the temporal mean; float32 holds 1e4 to 1e-3, the packed colours of svgf+ to 2^-15.
-    least = 1e4 * 2.0**-15 if method == "svgf+" and device.name != "reference" else 2e-3
-    assert (result["variance"] <= (0.5 * least) ** 2).all()
+    # No weighted mean of squared deviations exceeds the largest. float32 holds 0.5e4 to 2^-12, the packed colours of
+    # svgf+ to 2^-15.
+    largest = np.abs(np.array(noisy) - 0.5e4).max() + 2.0**-12
+    if method == "svgf+" and device.name != "reference":
+        largest = 0.5e4 * 2.0**-15
+    assert (result["variance"] <= largest**2).all()
 
 
 @pytest.mark.parametrize("albedo", [0.0, 1e-8, 5.0, 1e4])
@@ -161,7 +164,7 @@ def test_any_albedo_loses_no_light(device, method, albedo):
     np.testing.assert_array_equal(denoiser.denoise(frame)["color"], 0.0)
 
 
-@pytest.mark.parametrize("depth", [1e-3, 1.0, 1e7])
+@pytest.mark.parametrize("depth", [1e-3, 1.0, 1e7, 1e9])
 @pytest.mark.parametrize("method", METHODS)
 def test_any_depth(device, method, depth):
     """The same picture at any distance: a plane that is seen at a slant, and a nearer square in front of it."""

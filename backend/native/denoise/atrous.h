@@ -320,8 +320,10 @@ struct EdgeAvoiding {
                 if (!is_surface(q.w)) continue;
                 const Vec3 normal_difference = p.xyz() - q.xyz();
                 const Vec3 position_difference = position - camera_position(qx, qy, q.w);
-                const float w_log = normal_scale * dot(normal_difference, normal_difference) +
-                                    position_scale * dot(position_difference, position_difference);
+                // The centre weighs whole, also where positions are so far off that their rounding looks like a distance.
+                const float w_log = tap == pixel ? 0.0f
+                                                 : normal_scale * dot(normal_difference, normal_difference) +
+                                                       position_scale * dot(position_difference, position_difference);
                 const float h = kernel<2>(i < 0 ? -i : i) * kernel<2>(j < 0 ? -j : j);
                 for (int s = 0; s < Signals; ++s) {
                     const Vec3 c = in_color[s][tap].xyz(), difference = in_color[s][pixel].xyz() - c;
