@@ -294,7 +294,8 @@ def playback(frames: int) -> Iterator[float]:
         bpy.ops.screen.animation_cancel(restore_frame=False)
     print(f"    frames {len(shown)}, restarts {seen}, {counters}")
     assert (counters.meshes, counters.materials, counters.lights) == (meshes, materials, lights)
-    assert session().result.frame.history_length.max() > min(frames, 20)
+    # 20 frames: what is kept while something moves.
+    assert session().result.frame.history_length.max() >= min(frames, 20)
     cube.animation_data_clear()
     yield 0.2
 
