@@ -9,10 +9,6 @@
 // whatever order they are found.
 #pragma once
 
-#if defined(__AVX2__) && !defined(__CUDACC__)
-#include <immintrin.h>
-#endif
-
 #include "core/bits.h"
 #include "core/load.h"
 #include "core/vec.h"
@@ -178,32 +174,6 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
     const Vec3 start = (node.origin - ray.origin) * inverse;
     const Vec3 margin = (abs(start) + abs(scale) * byte_offset) * box_margin;
     const bool negative_x = inverse.x < 0, negative_y = inverse.y < 0, negative_z = inverse.z < 0;
-#if defined(__AVX2__) && !defined(__CUDACC__)
-    const Vec3 near_start = start - margin, far_start = start + margin;
-    const auto words = [](const std::uint32_t (&bytes)[2]) {
-        return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
-    };
-    const auto distances = [&](const std::uint32_t (&bytes)[2], float scale, float start) {
-        return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words(bytes)), _mm256_set1_ps(scale), _mm256_set1_ps(start));
-    };
-    const __m256 near_x = distances(negative_x ? node.high[0] : node.low[0], scale.x, near_start.x);
-    const __m256 near_y = distances(negative_y ? node.high[1] : node.low[1], scale.y, near_start.y);
-    const __m256 near_z = distances(negative_z ? node.high[2] : node.low[2], scale.z, near_start.z);
-    const __m256 far_x = distances(negative_x ? node.low[0] : node.high[0], scale.x, far_start.x);
-    const __m256 far_y = distances(negative_y ? node.low[1] : node.high[1], scale.y, far_start.y);
-    const __m256 far_z = distances(negative_z ? node.low[2] : node.high[2], scale.z, far_start.z);
-    const __m256 enter = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
-    const __m256 leave = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
-    const __m256i met = _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_LE_OQ));
-    const __m256i slot = words(node.slot), shift = _mm256_and_si256(slot, _mm256_set1_epi32(31));
-    const __m256i is_inner = _mm256_cmpgt_epi32(shift, _mm256_set1_epi32(WideNode::inner_bit - 1));
-    const __m256i order = _mm256_xor_si256(shift, _mm256_and_si256(is_inner, _mm256_set1_epi32(int(ray.octant))));
-    const __m256i bits = _mm256_and_si256(_mm256_sllv_epi32(_mm256_srli_epi32(slot, 5), order), met);
-    __m128i mask = _mm_or_si128(_mm256_castsi256_si128(bits), _mm256_extracti128_si256(bits, 1));
-    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0x4e));
-    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0xb1));
-    return std::uint32_t(_mm_cvtsi128_si32(mask));
-#else
     const Vec3 from_zero = start - scale * byte_offset;
     const Vec3 near_start = from_zero - margin, far_start = from_zero + margin;
     std::uint32_t mask = 0;
@@ -233,7 +203,6 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         }
     }
     return mask;
-#endif
 }
 
 // Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers
@@ -317,6 +286,10 @@ struct NothingPasses {
 // Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
 // becomes the closest one. passes(triangle_ray, triangle, hit) is asked about every hit that would count, in any order,
 // and says whether the ray goes on as if it were not there.
+#if defined(__AVX2__) && !defined(__CUDACC__)
+template <bool any_hit, class Passes>
+bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes);  // trace/traverse_avx2.h
+#else
 template <bool any_hit, class Passes>
 SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     constexpr NodeGroup root{0, 1u << 31}, only_leaf{0, 1u};
@@ -400,6 +373,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     }
     return t_max < ray.t_max;
 }
+#endif
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
@@ -413,3 +387,7 @@ SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
 }
 
 }  // namespace svgf
+
+#if defined(__AVX2__) && !defined(__CUDACC__)
+#include "trace/traverse_avx2.h"
+#endif

@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: Apache-2.0
+// The traversal of trace/intersect.h for processors with AVX2. It finds the same hits to the bit, as those depend on
+// triangle tests alone, and these round alike; the order in which nodes are visited is its own.
+//
+// A CPU waits for memory where a GPU runs other threads, and guesses branches where a GPU masks them. So here every
+// child waits on the stack with the distance at which the ray enters its box, the nearest on top: what lies behind a
+// hit that was found in the meantime is dropped unseen, instances included, and memory is on its way before it is
+// needed. Up to four triangles are tested at once.
+#pragma once
+
+#include <immintrin.h>
+
+#include "trace/intersect.h"
+
+namespace svgf {
+
+// A ray for the eight boxes of a node; lanes x, y, z.
+struct EightBoxRay {
+    __m128 origin, inverse_direction;
+    std::uint32_t near[3], far[3];  // where in a WideNode the sides are that the ray enters and leaves by
+
+    EightBoxRay(Vec3 ray_origin, Vec3 direction) : origin(_mm_setr_ps(ray_origin.x, ray_origin.y, ray_origin.z, 0)) {
+        const BoxRay ray(ray_origin, direction);
+        const Vec3 inverse = ray.inverse_direction;
+        inverse_direction = _mm_setr_ps(inverse.x, inverse.y, inverse.z, 0);
+        for (std::uint32_t axis = 0; axis < 3; ++axis) {
+            const std::uint32_t low = offsetof(WideNode, low) + 8 * axis, high = offsetof(WideNode, high) + 8 * axis;
+            const bool is_positive = (ray.octant >> axis) & 1u;
+            near[axis] = is_positive ? low : high;
+            far[axis] = is_positive ? high : low;
+        }
+    }
+};
+
+// The slots whose boxes the ray meets within [t_min, t_max], a bit for each, and where it enters them.
+inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ray, float t_min, float t_max,
+                                     float (&enter)[wide_node_children]) {
+    const auto absolute = [](__m128 v) { return _mm_andnot_ps(_mm_set1_ps(-0.0f), v); };
+    const char* const bytes = reinterpret_cast<const char*>(&node);
+    // The fourth lane of the first 16 bytes is no coordinate.
+    const __m128 origin = _mm_blend_ps(_mm_load_ps(&node.origin.x), ray.origin, 8);
+    const __m128i exponents = _mm_cvtepu8_epi32(_mm_cvtsi32_si128(int(node.exponents_and_inner & 0x00ffffffu)));
+    const __m128 step = _mm_castsi128_ps(_mm_slli_epi32(exponents, 23));
+    // As in intersect_children.
+    const __m128 scale = _mm_mul_ps(step, ray.inverse_direction);
+    const __m128 start = _mm_mul_ps(_mm_sub_ps(origin, ray.origin), ray.inverse_direction);
+    const __m128 margin = _mm_mul_ps(
+        _mm_add_ps(absolute(start), _mm_mul_ps(absolute(scale), _mm_set1_ps(byte_offset))), _mm_set1_ps(box_margin));
+    const __m128 near_start = _mm_sub_ps(start, margin), far_start = _mm_add_ps(start, margin);
+
+    const auto lane = [](__m128 v, int axis) {
+        return _mm256_permutevar8x32_ps(_mm256_castps128_ps256(v), _mm256_set1_epi32(axis));
+    };
+    const auto distances = [&](std::uint32_t offset, __m128 from, int axis) {
+        const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes + offset)));
+        return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words), lane(scale, axis), lane(from, axis));
+    };
+    const __m256 near_x = distances(ray.near[0], near_start, 0), far_x = distances(ray.far[0], far_start, 0);
+    const __m256 near_y = distances(ray.near[1], near_start, 1), far_y = distances(ray.far[1], far_start, 1);
+    const __m256 near_z = distances(ray.near[2], near_start, 2), far_z = distances(ray.far[2], far_start, 2);
+    const __m256 entered = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
+    const __m256 left = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
+    _mm256_store_ps(enter, entered);
+    const __m128i slots = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(node.slot));
+    const int is_free = _mm_movemask_epi8(_mm_cmpeq_epi8(slots, _mm_setzero_si128()));
+    return std::uint32_t(_mm256_movemask_ps(_mm256_cmp_ps(entered, left, _CMP_LE_OQ)) & ~is_free);
+}
+
+// Hits of up to four triangles: intersect_triangle in four lanes, with the same roundings.
+struct FourHits {
+    alignas(16) float t[4], weight1[4], weight2[4];
+};
+
+// Returns the lanes that are hit with t_min < t < t_end and t <= t_max, a bit for each.
+inline std::uint32_t intersect_four(const TriangleRay& ray, const LeafTriangle* const (&triangle)[4], float t_min,
+                                    float t_end, float t_max, FourHits& hits) {
+    // Of one or two vertices of each triangle, rows to columns: x of all, y of all, z of all.
+    const auto first_and_second = [&](int i) { return _mm256_loadu_ps(&triangle[i]->vertex0.x); };
+    const __m256 xy01 = _mm256_unpacklo_ps(first_and_second(0), first_and_second(1));
+    const __m256 xy23 = _mm256_unpacklo_ps(first_and_second(2), first_and_second(3));
+    const __m256 z01 = _mm256_unpackhi_ps(first_and_second(0), first_and_second(1));
+    const __m256 z23 = _mm256_unpackhi_ps(first_and_second(2), first_and_second(3));
+    const auto third = [&](int i) { return _mm_load_ps(&triangle[i]->vertex2.x); };
+    const __m128 third_xy01 = _mm_unpacklo_ps(third(0), third(1)), third_xy23 = _mm_unpacklo_ps(third(2), third(3));
+    const __m128 third_z01 = _mm_unpackhi_ps(third(0), third(1)), third_z23 = _mm_unpackhi_ps(third(2), third(3));
+
+    const __m256 ab[3] = {
+        _mm256_sub_ps(_mm256_shuffle_ps(xy01, xy23, 0x44), _mm256_set1_ps(ray.origin.x)),
+        _mm256_sub_ps(_mm256_shuffle_ps(xy01, xy23, 0xee), _mm256_set1_ps(ray.origin.y)),
+        _mm256_sub_ps(_mm256_shuffle_ps(z01, z23, 0x44), _mm256_set1_ps(ray.origin.z)),
+    };
+    const __m128 c[3] = {
+        _mm_sub_ps(_mm_shuffle_ps(third_xy01, third_xy23, 0x44), _mm_set1_ps(ray.origin.x)),
+        _mm_sub_ps(_mm_shuffle_ps(third_xy01, third_xy23, 0xee), _mm_set1_ps(ray.origin.y)),
+        _mm_sub_ps(_mm_shuffle_ps(third_z01, third_z23, 0x44), _mm_set1_ps(ray.origin.z)),
+    };
+    const auto dot_ab = [&](Vec3 row) {
+        return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(row.x), ab[0]),
+                                           _mm256_mul_ps(_mm256_set1_ps(row.y), ab[1])),
+                             _mm256_mul_ps(_mm256_set1_ps(row.z), ab[2]));
+    };
+    const auto dot_c = [&](Vec3 row) {
+        return _mm_add_ps(_mm_add_ps(_mm_mul_ps(_mm_set1_ps(row.x), c[0]), _mm_mul_ps(_mm_set1_ps(row.y), c[1])),
+                          _mm_mul_ps(_mm_set1_ps(row.z), c[2]));
+    };
+    const auto low = [](__m256 v) { return _mm256_castps256_ps128(v); };
+    const auto high = [](__m256 v) { return _mm256_extractf128_ps(v, 1); };
+
+    const __m256 ab_x = dot_ab(ray.x), ab_y = dot_ab(ray.y);
+    const __m256d ax = _mm256_cvtps_pd(low(ab_x)), bx = _mm256_cvtps_pd(high(ab_x));
+    const __m256d ay = _mm256_cvtps_pd(low(ab_y)), by = _mm256_cvtps_pd(high(ab_y));
+    const __m256d cx = _mm256_cvtps_pd(dot_c(ray.x)), cy = _mm256_cvtps_pd(dot_c(ray.y));
+    // As difference_of_products: these products are exact.
+    const auto difference = [](__m256d a, __m256d b, __m256d c, __m256d d) {
+        return _mm256_cvtpd_ps(_mm256_sub_pd(_mm256_mul_pd(a, b), _mm256_mul_pd(c, d)));
+    };
+    const __m128 u = difference(cx, by, cy, bx), v = difference(ax, cy, ay, cx), w = difference(bx, ay, by, ax);
+    const __m128 zero = _mm_setzero_ps(), least = _mm_min_ps(_mm_min_ps(u, v), w), most = _mm_max_ps(_mm_max_ps(u, v), w);
+    const __m128 inside = _mm_or_ps(_mm_cmpge_ps(least, zero), _mm_cmple_ps(most, zero));
+    const __m128 determinant = _mm_add_ps(_mm_add_ps(u, v), w);
+    const __m128 counts = _mm_and_ps(inside, _mm_cmpneq_ps(determinant, zero));
+    if (_mm_movemask_ps(counts) == 0) return 0;
+
+    const __m128 inverse = _mm_div_ps(_mm_set1_ps(1.0f), determinant);
+    const __m256 ab_z = dot_ab(ray.z);
+    const __m128 sum = _mm_add_ps(_mm_add_ps(_mm_mul_ps(u, low(ab_z)), _mm_mul_ps(v, high(ab_z))),
+                                  _mm_mul_ps(w, dot_c(ray.z)));
+    const __m128 t = _mm_mul_ps(sum, inverse);
+    _mm_store_ps(hits.t, t);
+    _mm_store_ps(hits.weight1, _mm_mul_ps(v, inverse));
+    _mm_store_ps(hits.weight2, _mm_mul_ps(w, inverse));
+    const __m128 within = _mm_and_ps(_mm_and_ps(_mm_cmpgt_ps(t, _mm_set1_ps(t_min)), _mm_cmplt_ps(t, _mm_set1_ps(t_end))),
+                                     _mm_cmple_ps(t, _mm_set1_ps(t_max)));
+    return std::uint32_t(_mm_movemask_ps(_mm_and_ps(counts, within)));
+}
+
+// What a ray has still to visit: nodes of the tree that it is in and leaves of the top level, by the distance at which
+// it enters them. As one number, of which the order is that of the distances: these are not negative.
+class DistanceStack {
+public:
+    bool is_empty() const { return size_ == 0; }
+    int size() const { return size_; }
+
+    void push(float distance, std::uint32_t child) { keys_[size_++] = std::uint64_t(bits_of(distance)) << 32 | child; }
+    // Puts the nearest of all that came after `first` on top.
+    void sort_from(int first) {
+        for (int i = first + 1; i < size_; ++i) {
+            const std::uint64_t key = keys_[i];
+            int place = i;
+            for (; place > first && keys_[place - 1] < key; --place) keys_[place] = keys_[place - 1];
+            keys_[place] = key;
+        }
+    }
+    std::uint32_t pop(float& distance) {
+        const std::uint64_t key = keys_[--size_];
+        distance = float_from_bits(std::uint32_t(key >> 32));
+        return std::uint32_t(key);
+    }
+
+private:
+    // A level of either tree leaves seven of its children at most.
+    std::uint64_t keys_[2 * max_tree_levels * (wide_node_children - 1) + 1];
+    int size_ = 0;
+};
+
+template <bool any_hit, class Passes>
+inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
+    constexpr std::uint32_t is_leaf = 1u << 31;  // of the top level; else a node
+    const EightBoxRay world_box_ray(ray.origin, ray.direction);
+    EightBoxRay box_ray = world_box_ray;
+    TriangleRay triangle_ray(ray.origin, ray.direction);
+    DistanceStack stack;
+    int instance_floor = 0;      // stack size at which the current instance is done
+    std::int32_t instance = -1;  // -1: in the top level
+    const WideNode* nodes = scene.nodes;
+    const LeafTriangle* triangles = nullptr;
+    float t_max = ray.t_max;
+
+    // Returns whether the search ends.
+    const auto test_triangles = [&](std::uint32_t first, std::uint32_t bits) {
+        while (bits) {
+            const LeafTriangle* lanes[4];
+            const int count = count_set_bits(bits);
+            const LeafTriangle* last = nullptr;
+            for (int i = 0; i < 4; ++i) {
+                if (bits) last = triangles + first + lowest_set_bit(bits);
+                lanes[i] = last;
+                bits &= bits - 1;
+            }
+            FourHits four;
+            std::uint32_t hit_lanes = intersect_four(triangle_ray, lanes, ray.t_min, ray.t_max, t_max, four);
+            if (count < 4) hit_lanes &= (1u << count) - 1;
+            for (; hit_lanes; hit_lanes &= hit_lanes - 1) {
+                const int i = lowest_set_bit(hit_lanes);
+                const LeafTriangle& triangle = *lanes[i];
+                const float t = four.t[i];
+                const Hit found{t, four.weight1[i], four.weight2[i], instance, triangle.index,
+                                std::int32_t(lanes[i] - triangles)};
+                if constexpr (!any_hit) {
+                    const bool closer = t < t_max || (t == t_max && (instance < hit.instance ||
+                                                                     (instance == hit.instance &&
+                                                                      found.triangle < hit.triangle)));
+                    if (!closer) continue;
+                }
+                if (passes(triangle_ray, triangle, found)) continue;
+                if constexpr (any_hit) return true;
+                t_max = t;
+                hit = found;
+            }
+        }
+        return false;
+    };
+
+    std::uint32_t child = scene.has_one_leaf ? is_leaf : 0;
+    for (;;) {
+        if (child & is_leaf) {
+            const TopLeaf leaf = scene.top_leaves[child & ~is_leaf];
+            const Instance& placed = scene.instances[leaf.instance];
+            if (placed.visibility & ray.kind) {
+                instance_floor = stack.size();
+                instance = leaf.instance;
+                const MeshView& mesh = scene.meshes[placed.mesh];
+                nodes = mesh.nodes;
+                triangles = mesh.triangles;
+                const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
+                const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
+                box_ray = EightBoxRay(origin, direction);
+                triangle_ray = TriangleRay(origin, direction);
+                if (leaf.bits >> WideNode::inner_bit) {
+                    child = leaf.first;
+                    continue;
+                }
+                if (test_triangles(leaf.first, leaf.bits)) return true;
+            }
+        } else {
+            const WideNode& node = nodes[child];
+            alignas(32) float enter[wide_node_children];
+            const std::uint32_t met = intersect_eight(node, box_ray, ray.t_min, t_max, enter);
+            const std::uint32_t inner = node.inner_slots();
+            const int first = stack.size();
+            for (std::uint32_t left = met & inner; left; left &= left - 1) {
+                const int slot = lowest_set_bit(left);
+                const std::uint32_t next =
+                    node.first_child + std::uint32_t(count_set_bits(inner & ((1u << slot) - 1)));
+                _mm_prefetch(reinterpret_cast<const char*>(nodes + next), _MM_HINT_T0);
+                _mm_prefetch(reinterpret_cast<const char*>(nodes + next) + 64, _MM_HINT_T0);
+                stack.push(enter[slot], next);
+            }
+            std::uint32_t primitives = 0;
+            for (std::uint32_t left = met & ~inner; left; left &= left - 1) {
+                const int slot = lowest_set_bit(left);
+                const std::uint32_t bits = WideNode::byte(node.slot, slot);
+                if (instance < 0)
+                    stack.push(enter[slot], is_leaf | (node.first_primitive + WideNode::first_of(bits)));
+                primitives |= (bits >> 5) << WideNode::first_of(bits);
+            }
+            stack.sort_from(first);
+            if (instance >= 0 && primitives && test_triangles(node.first_primitive, primitives)) return true;
+        }
+        for (;;) {
+            if (instance >= 0 && stack.size() == instance_floor) {
+                instance = -1;
+                nodes = scene.nodes;
+                box_ray = world_box_ray;
+            }
+            if (stack.is_empty()) return t_max < ray.t_max;
+            float distance;
+            child = stack.pop(distance);
+            if (distance <= t_max) break;
+        }
+    }
+}
+
+}  // namespace svgf
