@@ -19,15 +19,17 @@ SVGF_HD inline std::uint32_t mix_bits(std::uint32_t x) {
     return x ^ (x >> 16);
 }
 
-// Nested uniform scrambling: each bit is flipped by a hash of the bits above it [Burley20, Section 3.2].
-SVGF_HD inline std::uint32_t owen_scramble(std::uint32_t x, std::uint32_t seed) {
-    x = reverse_bits(x);
+// Nested uniform scrambling: each bit is flipped by a hash of the bits above it [Burley20, Section 3.2]. Both numbers
+// with their bits reversed.
+SVGF_HD inline std::uint32_t owen_scramble_reversed(std::uint32_t x, std::uint32_t seed) {
     x ^= x * 0x3d20adeau;
     x += seed;
     x *= (seed >> 16) | 1u;
     x ^= x * 0x05526c56u;
-    x ^= x * 0x53a22864u;
-    return reverse_bits(x);
+    return x ^ (x * 0x53a22864u);
+}
+SVGF_HD inline std::uint32_t owen_scramble(std::uint32_t x, std::uint32_t seed) {
+    return reverse_bits(owen_scramble_reversed(reverse_bits(x), seed));
 }
 
 // The second Sobol dimension of the index whose reversed bits (the first dimension) are given. Its generator matrix is
@@ -67,7 +69,7 @@ struct Sampler {
 
     SVGF_HD Vec2 pair(SamplePair name, int vertex = 0) const {
         const std::uint32_t key = key_of(name, vertex);
-        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        const std::uint32_t first = owen_scramble_reversed(reverse_bits(sample), key);
         const std::uint32_t second = sobol_second_dimension(first);
         return {unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u))),
                 unit_float(owen_scramble(second, mix_bits(key ^ 0x63d83595u)))};
@@ -77,7 +79,7 @@ struct Sampler {
     SVGF_HD float at_triangle(SamplePair name, int vertex, std::int32_t instance, std::int32_t triangle) const {
         const std::uint32_t surface = mix_bits(mix_bits(std::uint32_t(instance)) + std::uint32_t(triangle));
         const std::uint32_t key = mix_bits(key_of(name, vertex) ^ surface);
-        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        const std::uint32_t first = owen_scramble_reversed(reverse_bits(sample), key);
         return unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
     }
 

@@ -105,13 +105,18 @@ SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangl
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
 
+// A component of a direction that is closer to zero counts as this: too small to matter, and no product is infinite or
+// NaN.
+SVGF_HD inline float smallest_component(Vec3 direction) {
+    return max(1e-15f * max_component(abs(direction)), 1e-30f);
+}
+
 struct BoxRay {
     Vec3 origin, inverse_direction;
     std::uint32_t octant;  // bit k: the direction is positive along axis k
 
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
-        // A component of zero becomes one that is too small to matter, so that no product is infinite or NaN.
-        const float smallest = max(1e-15f * max_component(abs(direction)), 1e-30f);
+        const float smallest = smallest_component(direction);
         const auto inverse = [smallest](float d) { return 1 / std::copysign(max(std::fabs(d), smallest), d); };
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
         octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |

@@ -14,20 +14,25 @@
 
 namespace svgf {
 
-// A ray for the eight boxes of a node; lanes x, y, z.
+// BoxRay for the eight boxes of a node; lanes x, y, z.
 struct EightBoxRay {
     __m128 origin, inverse_direction;
     std::uint32_t near[3], far[3];  // where in a WideNode the sides are that the ray enters and leaves by
 
-    EightBoxRay(Vec3 ray_origin, Vec3 direction) : origin(_mm_setr_ps(ray_origin.x, ray_origin.y, ray_origin.z, 0)) {
-        const BoxRay ray(ray_origin, direction);
-        const Vec3 inverse = ray.inverse_direction;
-        inverse_direction = _mm_setr_ps(inverse.x, inverse.y, inverse.z, 0);
+    EightBoxRay() = default;
+    EightBoxRay(Vec3 ray_origin, Vec3 ray_direction)
+        : origin(_mm_setr_ps(ray_origin.x, ray_origin.y, ray_origin.z, 0)) {
+        const __m128 sign_bit = _mm_set1_ps(-0.0f);
+        const __m128 direction = _mm_setr_ps(ray_direction.x, ray_direction.y, ray_direction.z, 0);
+        const __m128 smallest = _mm_set1_ps(smallest_component(ray_direction));
+        const __m128 size = _mm_max_ps(_mm_andnot_ps(sign_bit, direction), smallest);
+        inverse_direction = _mm_div_ps(_mm_set1_ps(1.0f), _mm_or_ps(size, _mm_and_ps(sign_bit, direction)));
+        const std::uint32_t negative = std::uint32_t(_mm_movemask_ps(inverse_direction));
         for (std::uint32_t axis = 0; axis < 3; ++axis) {
             const std::uint32_t low = offsetof(WideNode, low) + 8 * axis, high = offsetof(WideNode, high) + 8 * axis;
-            const bool is_positive = (ray.octant >> axis) & 1u;
-            near[axis] = is_positive ? low : high;
-            far[axis] = is_positive ? high : low;
+            const std::uint32_t both = low ^ high, entered = low ^ (both & (0u - ((negative >> axis) & 1u)));
+            near[axis] = entered;
+            far[axis] = entered ^ both;
         }
     }
 };
@@ -167,8 +172,10 @@ template <bool any_hit, class Passes>
 inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     constexpr std::uint32_t is_leaf = 1u << 31;  // of the top level; else a node
     const EightBoxRay world_box_ray(ray.origin, ray.direction);
-    EightBoxRay box_ray = world_box_ray;
+    EightBoxRay object_box_ray;
+    const EightBoxRay* box_ray = &world_box_ray;
     TriangleRay triangle_ray(ray.origin, ray.direction);
+    std::int32_t ray_instance = -1;  // for which the ray is known
     DistanceStack stack;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
@@ -221,11 +228,15 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                 instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 nodes = mesh.nodes;
-                triangles = mesh.triangles;
-                const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
-                const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
-                box_ray = EightBoxRay(origin, direction);
-                triangle_ray = TriangleRay(origin, direction);
+                box_ray = &object_box_ray;
+                if (instance != ray_instance) {
+                    ray_instance = instance;
+                    triangles = mesh.triangles;
+                    const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
+                    const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
+                    object_box_ray = EightBoxRay(origin, direction);
+                    triangle_ray = TriangleRay(origin, direction);
+                }
                 if (leaf.bits >> WideNode::inner_bit) {
                     child = leaf.first;
                     continue;
@@ -235,7 +246,7 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
         } else {
             const WideNode& node = nodes[child];
             alignas(32) float enter[wide_node_children];
-            const std::uint32_t met = intersect_eight(node, box_ray, ray.t_min, t_max, enter);
+            const std::uint32_t met = intersect_eight(node, *box_ray, ray.t_min, t_max, enter);
             const std::uint32_t inner = node.inner_slots();
             const int first = stack.size();
             for (std::uint32_t left = met & inner; left; left &= left - 1) {
@@ -261,7 +272,7 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
             if (instance >= 0 && stack.size() == instance_floor) {
                 instance = -1;
                 nodes = scene.nodes;
-                box_ray = world_box_ray;
+                box_ray = &world_box_ray;
             }
             if (stack.is_empty()) return t_max < ray.t_max;
             float distance;
