@@ -44,7 +44,7 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 }
 
 // 24 bits: exact in a float, and below 1.
-SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
+SVGF_HD inline float unit_float(std::uint32_t bits) { return float(std::int32_t(bits >> 8)) * (1.0f / 16777216.0f); }
 
 // Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. Those of the
 // surfaces that rays meet are far from all others.
@@ -83,11 +83,42 @@ struct Sampler {
         return unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
     }
 
-private:
     SVGF_HD std::uint32_t key_of(SamplePair name, int vertex) const {
         const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
         return mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
     }
+};
+
+// The pairs of a path's vertex, from `direction` to `light`. The host draws all four at once, a lane for each; the device
+// each where it is used, to have its registers for other things.
+class VertexSampler {
+public:
+#if defined(__CUDA_ARCH__)
+    SVGF_HD VertexSampler(const Sampler& sampler, int vertex) : sampler_(sampler), vertex_(vertex) {}
+    SVGF_HD Vec2 pair(SamplePair name) const { return sampler_.pair(name, vertex_); }
+
+private:
+    const Sampler& sampler_;
+    int vertex_;
+#else
+    SVGF_HD VertexSampler(const Sampler& sampler, int vertex) {
+        const std::uint32_t reversed_sample = reverse_bits(sampler.sample);
+        for (std::uint32_t i = 0; i < pairs; ++i) {
+            const std::uint32_t key = sampler.key_of(SamplePair(first_pair + i), vertex);
+            const std::uint32_t first = owen_scramble_reversed(reversed_sample, key);
+            x_[i] = unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
+            y_[i] = unit_float(owen_scramble(sobol_second_dimension(first), mix_bits(key ^ 0x63d83595u)));
+        }
+    }
+    SVGF_HD Vec2 pair(SamplePair name) const {
+        const std::uint32_t i = std::uint32_t(name) - first_pair;
+        return {x_[i], y_[i]};
+    }
+
+private:
+    static constexpr std::uint32_t first_pair = std::uint32_t(SamplePair::direction), pairs = 4;
+    float x_[pairs], y_[pairs];
+#endif
 };
 
 // Orthonormal frame around a unit vector [Duff17].

@@ -42,8 +42,11 @@ public:
             for (size_t tile = begin; tile < end; ++tile) {
                 const int x0 = int(tile % columns) * tile_size, y0 = int(tile / columns) * tile_size;
                 const int x1 = std::min(x0 + tile_size, width), y1 = std::min(y0 + tile_size, height);
-                for (int y = y0; y < y1; ++y)
-                    for (int x = x0; x < x1; ++x) stage(x, y);
+                if constexpr (requires { stage.trace_tile(x0, y0, x1, y1); })
+                    stage.trace_tile(x0, y0, x1, y1);
+                else
+                    for (int y = y0; y < y1; ++y)
+                        for (int x = x0; x < x1; ++x) stage(x, y);
             }
         });
     }

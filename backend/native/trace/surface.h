@@ -29,6 +29,8 @@ struct Surface {
 
 // Unit vector for any length, also where its square would vanish or overflow.
 SVGF_HD inline Vec3 normalize_any_length(Vec3 v) {
+    const float squared = dot(v, v);
+    if (squared > 1e-30f && squared < 1e30f) return v * (1.0f / std::sqrt(squared));
     const float size = max_component(abs(v));
     return size > 0.0f ? normalize(v * (1.0f / size)) : v;
 }

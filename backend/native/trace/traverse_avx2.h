@@ -46,12 +46,12 @@ inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ra
     const __m128 origin = _mm_blend_ps(_mm_load_ps(&node.origin.x), ray.origin, 8);
     const __m128i exponents = _mm_cvtepu8_epi32(_mm_cvtsi32_si128(int(node.exponents_and_inner & 0x00ffffffu)));
     const __m128 step = _mm_castsi128_ps(_mm_slli_epi32(exponents, 23));
-    // As in intersect_children.
     const __m128 scale = _mm_mul_ps(step, ray.inverse_direction);
     const __m128 start = _mm_mul_ps(_mm_sub_ps(origin, ray.origin), ray.inverse_direction);
-    const __m128 margin = _mm_mul_ps(
-        _mm_add_ps(absolute(start), _mm_mul_ps(absolute(scale), _mm_set1_ps(byte_offset))), _mm_set1_ps(box_margin));
-    const __m128 near_start = _mm_sub_ps(start, margin), far_start = _mm_add_ps(start, margin);
+    // The margin of intersect_children.
+    const __m128 of_scale = _mm_mul_ps(absolute(scale), _mm_set1_ps(byte_offset * box_margin));
+    const __m128 near_start = _mm_fnmadd_ps(absolute(start), _mm_set1_ps(box_margin), _mm_sub_ps(start, of_scale));
+    const __m128 far_start = _mm_fmadd_ps(absolute(start), _mm_set1_ps(box_margin), _mm_add_ps(start, of_scale));
 
     const auto lane = [](__m128 v, int axis) {
         return _mm256_permutevar8x32_ps(_mm256_castps128_ps256(v), _mm256_set1_epi32(axis));
