@@ -42,6 +42,7 @@ struct alignas(16) Hit {
 struct TriangleRay {
     Vec3 origin, x, y, z;
 
+    TriangleRay() = default;
     SVGF_HD TriangleRay(Vec3 origin, Vec3 direction) : origin(origin) {
         const Vec3 size = abs(direction);
         const bool along_z = size.z >= size.x && size.z >= size.y, along_y = !along_z && size.y >= size.x;
@@ -105,18 +106,16 @@ SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangl
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
 
-// A component of a direction that is closer to zero counts as this: too small to matter, and no product is infinite or
-// NaN.
-SVGF_HD inline float smallest_component(Vec3 direction) {
-    return max(1e-15f * max_component(abs(direction)), 1e-30f);
-}
+// A component of a direction that is closer to zero, or a smaller share of the largest one, counts as this: too small to
+// matter, and no product is infinite or NaN.
+constexpr float smallest_component = 1e-30f, smallest_share = 1e-15f;
 
 struct BoxRay {
     Vec3 origin, inverse_direction;
     std::uint32_t octant;  // bit k: the direction is positive along axis k
 
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
-        const float smallest = smallest_component(direction);
+        const float smallest = max(smallest_share * max_component(abs(direction)), smallest_component);
         const auto inverse = [smallest](float d) { return 1 / std::copysign(max(std::fabs(d), smallest), d); };
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
         octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |

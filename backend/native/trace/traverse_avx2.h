@@ -10,30 +10,65 @@
 
 #include <immintrin.h>
 
+#include <array>
+#include <cstddef>
+
 #include "trace/intersect.h"
 
 namespace svgf {
 
-// BoxRay for the eight boxes of a node; lanes x, y, z.
-struct EightBoxRay {
-    __m128 origin, inverse_direction;
-    std::uint32_t near[3], far[3];  // where in a WideNode the sides are that the ray enters and leaves by
-
-    EightBoxRay() = default;
-    EightBoxRay(Vec3 ray_origin, Vec3 ray_direction)
-        : origin(_mm_setr_ps(ray_origin.x, ray_origin.y, ray_origin.z, 0)) {
-        const __m128 sign_bit = _mm_set1_ps(-0.0f);
-        const __m128 direction = _mm_setr_ps(ray_direction.x, ray_direction.y, ray_direction.z, 0);
-        const __m128 smallest = _mm_set1_ps(smallest_component(ray_direction));
-        const __m128 size = _mm_max_ps(_mm_andnot_ps(sign_bit, direction), smallest);
-        inverse_direction = _mm_div_ps(_mm_set1_ps(1.0f), _mm_or_ps(size, _mm_and_ps(sign_bit, direction)));
-        const std::uint32_t negative = std::uint32_t(_mm_movemask_ps(inverse_direction));
+// Where in a WideNode the sides of its children are that a ray enters and leaves by, for each octant of directions: bit k
+// is set where the direction is negative along axis k.
+struct NodeSides {
+    std::uint32_t near[3], far[3];
+};
+constexpr std::array<NodeSides, 8> sides_of_octant = [] {
+    std::array<NodeSides, 8> sides{};
+    for (std::uint32_t octant = 0; octant < 8; ++octant)
         for (std::uint32_t axis = 0; axis < 3; ++axis) {
             const std::uint32_t low = offsetof(WideNode, low) + 8 * axis, high = offsetof(WideNode, high) + 8 * axis;
-            const std::uint32_t both = low ^ high, entered = low ^ (both & (0u - ((negative >> axis) & 1u)));
-            near[axis] = entered;
-            far[axis] = entered ^ both;
+            const bool is_negative = (octant >> axis) & 1u;
+            sides[octant].near[axis] = is_negative ? high : low;
+            sides[octant].far[axis] = is_negative ? low : high;
         }
+    return sides;
+}();
+
+// BoxRay for the eight boxes of a node; lanes x, y, z, and 0.
+struct EightBoxRay {
+    __m128 origin, direction, inverse_direction;
+    const NodeSides* sides;
+
+    EightBoxRay() = default;
+    EightBoxRay(__m128 origin, __m128 direction) : origin(origin), direction(direction) {
+        const __m128 sign_bit = _mm_set1_ps(-0.0f);
+        const __m128 size = _mm_andnot_ps(sign_bit, direction);
+        __m128 largest = _mm_max_ps(size, _mm_shuffle_ps(size, size, 0x4e));
+        largest = _mm_max_ps(largest, _mm_shuffle_ps(largest, largest, 0xb1));
+        const __m128 smallest = _mm_max_ps(_mm_mul_ps(largest, _mm_set1_ps(smallest_share)),
+                                           _mm_set1_ps(smallest_component));
+        inverse_direction = _mm_div_ps(
+            _mm_set1_ps(1.0f), _mm_or_ps(_mm_max_ps(size, smallest), _mm_and_ps(sign_bit, direction)));
+        sides = &sides_of_octant[std::size_t(_mm_movemask_ps(inverse_direction)) & 7u];
+    }
+
+    // The ray in the space of an instance, rounded as transform_point and transform_vector do.
+    EightBoxRay transformed(const Mat34& matrix) const {
+        __m128 x = _mm_load_ps(&matrix.row[0].x), y = _mm_load_ps(&matrix.row[1].x), z = _mm_load_ps(&matrix.row[2].x);
+        __m128 translation = _mm_setzero_ps();
+        _MM_TRANSPOSE4_PS(x, y, z, translation);  // to columns
+        const auto linear = [&](__m128 v) {
+            return _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, _mm_shuffle_ps(v, v, 0x00)), _mm_mul_ps(y, _mm_shuffle_ps(v, v, 0x55))),
+                              _mm_mul_ps(z, _mm_shuffle_ps(v, v, 0xaa)));
+        };
+        return {_mm_add_ps(linear(origin), translation), linear(direction)};
+    }
+
+    TriangleRay triangle_ray() const {
+        alignas(16) float o[4], d[4];
+        _mm_store_ps(o, origin);
+        _mm_store_ps(d, direction);
+        return {{o[0], o[1], o[2]}, {d[0], d[1], d[2]}};
     }
 };
 
@@ -60,9 +95,9 @@ inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ra
         const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes + offset)));
         return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words), lane(scale, axis), lane(from, axis));
     };
-    const __m256 near_x = distances(ray.near[0], near_start, 0), far_x = distances(ray.far[0], far_start, 0);
-    const __m256 near_y = distances(ray.near[1], near_start, 1), far_y = distances(ray.far[1], far_start, 1);
-    const __m256 near_z = distances(ray.near[2], near_start, 2), far_z = distances(ray.far[2], far_start, 2);
+    const __m256 near_x = distances(ray.sides->near[0], near_start, 0), far_x = distances(ray.sides->far[0], far_start, 0);
+    const __m256 near_y = distances(ray.sides->near[1], near_start, 1), far_y = distances(ray.sides->far[1], far_start, 1);
+    const __m256 near_z = distances(ray.sides->near[2], near_start, 2), far_z = distances(ray.sides->far[2], far_start, 2);
     const __m256 entered = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
     const __m256 left = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
     _mm256_store_ps(enter, entered);
@@ -171,11 +206,12 @@ private:
 template <bool any_hit, class Passes>
 inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     constexpr std::uint32_t is_leaf = 1u << 31;  // of the top level; else a node
-    const EightBoxRay world_box_ray(ray.origin, ray.direction);
-    EightBoxRay object_box_ray;
-    const EightBoxRay* box_ray = &world_box_ray;
-    TriangleRay triangle_ray(ray.origin, ray.direction);
-    std::int32_t ray_instance = -1;  // for which the ray is known
+    const EightBoxRay world_ray(_mm_setr_ps(ray.origin.x, ray.origin.y, ray.origin.z, 0),
+                                _mm_setr_ps(ray.direction.x, ray.direction.y, ray.direction.z, 0));
+    EightBoxRay object_ray;
+    TriangleRay triangle_ray;
+    std::int32_t object_ray_instance = -1, triangle_ray_instance = -1;  // for which they are known
+    const EightBoxRay* box_ray = &world_ray;
     DistanceStack stack;
     int instance_floor = 0;      // stack size at which the current instance is done
     std::int32_t instance = -1;  // -1: in the top level
@@ -185,6 +221,10 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
 
     // Returns whether the search ends.
     const auto test_triangles = [&](std::uint32_t first, std::uint32_t bits) {
+        if (instance != triangle_ray_instance) {
+            triangle_ray_instance = instance;
+            triangle_ray = object_ray.triangle_ray();
+        }
         while (bits) {
             const LeafTriangle* lanes[4];
             const int count = count_set_bits(bits);
@@ -228,14 +268,11 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                 instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 nodes = mesh.nodes;
-                box_ray = &object_box_ray;
-                if (instance != ray_instance) {
-                    ray_instance = instance;
-                    triangles = mesh.triangles;
-                    const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
-                    const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
-                    object_box_ray = EightBoxRay(origin, direction);
-                    triangle_ray = TriangleRay(origin, direction);
+                triangles = mesh.triangles;
+                box_ray = &object_ray;
+                if (instance != object_ray_instance) {
+                    object_ray_instance = instance;
+                    object_ray = world_ray.transformed(placed.world_to_object);
                 }
                 if (leaf.bits >> WideNode::inner_bit) {
                     child = leaf.first;
@@ -272,7 +309,7 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
             if (instance >= 0 && stack.size() == instance_floor) {
                 instance = -1;
                 nodes = scene.nodes;
-                box_ray = &world_box_ray;
+                box_ray = &world_ray;
             }
             if (stack.is_empty()) return t_max < ray.t_max;
             float distance;
