@@ -73,8 +73,8 @@ struct EightBoxRay {
 };
 
 // The slots whose boxes the ray meets within [t_min, t_max], a bit for each, and where it enters them.
-inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ray, float t_min, float t_max,
-                                     float (&enter)[wide_node_children]) {
+SVGF_ALWAYS_INLINE inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ray, float t_min,
+                                                        float t_max, float (&enter)[wide_node_children]) {
     const auto absolute = [](__m128 v) { return _mm_andnot_ps(_mm_set1_ps(-0.0f), v); };
     const char* const bytes = reinterpret_cast<const char*>(&node);
     // The fourth lane of the first 16 bytes is no coordinate.
