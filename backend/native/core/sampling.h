@@ -102,22 +102,26 @@ private:
     int vertex_;
 #else
     SVGF_HD VertexSampler(const Sampler& sampler, int vertex) {
+        // Numbers 0 to 3 are first ones, 4 to 7 second ones.
         const std::uint32_t reversed_sample = reverse_bits(sampler.sample);
+        std::uint32_t key[2 * pairs], value[2 * pairs];
         for (std::uint32_t i = 0; i < pairs; ++i) {
-            const std::uint32_t key = sampler.key_of(SamplePair(first_pair + i), vertex);
-            const std::uint32_t first = owen_scramble_reversed(reversed_sample, key);
-            x_[i] = unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
-            y_[i] = unit_float(owen_scramble(sobol_second_dimension(first), mix_bits(key ^ 0x63d83595u)));
+            const std::uint32_t pair_key = sampler.key_of(SamplePair(first_pair + i), vertex);
+            key[i] = pair_key ^ 0xa511e9b3u;
+            key[pairs + i] = pair_key ^ 0x63d83595u;
+            value[i] = owen_scramble_reversed(reversed_sample, pair_key);
+            value[pairs + i] = sobol_second_dimension(value[i]);
         }
+        for (std::uint32_t i = 0; i < 2 * pairs; ++i) number_[i] = unit_float(owen_scramble(value[i], mix_bits(key[i])));
     }
     SVGF_HD Vec2 pair(SamplePair name) const {
         const std::uint32_t i = std::uint32_t(name) - first_pair;
-        return {x_[i], y_[i]};
+        return {number_[i], number_[pairs + i]};
     }
 
 private:
     static constexpr std::uint32_t first_pair = std::uint32_t(SamplePair::direction), pairs = 4;
-    float x_[pairs], y_[pairs];
+    float number_[2 * pairs];
 #endif
 };
 

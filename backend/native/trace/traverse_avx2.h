@@ -112,8 +112,8 @@ struct FourHits {
 };
 
 // Returns the lanes that are hit with t_min < t < t_end and t <= t_max, a bit for each.
-inline std::uint32_t intersect_four(const TriangleRay& ray, const LeafTriangle* const (&triangle)[4], float t_min,
-                                    float t_end, float t_max, FourHits& hits) {
+SVGF_ALWAYS_INLINE inline std::uint32_t intersect_four(const TriangleRay& ray, const LeafTriangle* const (&triangle)[4],
+                                                       float t_min, float t_end, float t_max, FourHits& hits) {
     // Of one or two vertices of each triangle, rows to columns: x of all, y of all, z of all.
     const auto first_and_second = [&](int i) { return _mm256_loadu_ps(&triangle[i]->vertex0.x); };
     const __m256 xy01 = _mm256_unpacklo_ps(first_and_second(0), first_and_second(1));
@@ -174,97 +174,85 @@ inline std::uint32_t intersect_four(const TriangleRay& ray, const LeafTriangle* 
     return std::uint32_t(_mm_movemask_ps(_mm_and_ps(counts, within)));
 }
 
-// What a ray has still to visit: nodes of the tree that it is in and leaves of the top level, by the distance at which
-// it enters them. As one number, of which the order is that of the distances: these are not negative.
-class DistanceStack {
-public:
-    bool is_empty() const { return size_ == 0; }
-    int size() const { return size_; }
-
-    void push(float distance, std::uint32_t child) { keys_[size_++] = std::uint64_t(bits_of(distance)) << 32 | child; }
-    // Puts the nearest of all that came after `first` on top.
-    void sort_from(int first) {
-        for (int i = first + 1; i < size_; ++i) {
-            const std::uint64_t key = keys_[i];
-            int place = i;
-            for (; place > first && keys_[place - 1] < key; --place) keys_[place] = keys_[place - 1];
-            keys_[place] = key;
+// The triangles of a mesh from `first` on whose bits are set. Returns whether the search ends; of the closest hit, hit.t
+// is how far the ray goes on.
+template <bool any_hit, class Passes>
+bool test_triangles(const LeafTriangle* triangles, std::uint32_t first, std::uint32_t bits,
+                                  std::int32_t instance, const TriangleRay& triangle_ray, const Ray& ray, Hit& hit,
+                                  Passes& passes) {
+    do {
+        const LeafTriangle* lanes[4];
+        const std::uint32_t lanes_used = (1u << min(count_set_bits(bits), 4)) - 1;
+        const LeafTriangle* last = nullptr;
+        for (int i = 0; i < 4; ++i) {
+            if (bits) last = triangles + first + lowest_set_bit(bits);
+            lanes[i] = last;
+            bits &= bits - 1;
         }
-    }
-    std::uint32_t pop(float& distance) {
-        const std::uint64_t key = keys_[--size_];
-        distance = float_from_bits(std::uint32_t(key >> 32));
-        return std::uint32_t(key);
-    }
+        FourHits four;
+        std::uint32_t hit_lanes = intersect_four(triangle_ray, lanes, ray.t_min, ray.t_max, hit.t, four) & lanes_used;
+        for (; hit_lanes; hit_lanes &= hit_lanes - 1) {
+            const int i = lowest_set_bit(hit_lanes);
+            const LeafTriangle& triangle = *lanes[i];
+            const Hit found{four.t[i], four.weight1[i], four.weight2[i], instance, triangle.index,
+                            std::int32_t(lanes[i] - triangles)};
+            if constexpr (!any_hit) {
+                const bool closer = found.t < hit.t ||
+                                    (found.t == hit.t && (instance < hit.instance || (instance == hit.instance &&
+                                                                                      found.triangle < hit.triangle)));
+                if (!closer) continue;
+            }
+            if (passes(triangle_ray, triangle, found)) continue;
+            if constexpr (any_hit) return true;
+            hit = found;
+        }
+    } while (bits);
+    return false;
+}
 
-private:
-    // A level of either tree leaves seven of its children at most.
-    std::uint64_t keys_[2 * max_tree_levels * (wide_node_children - 1) + 1];
-    int size_ = 0;
-};
+// What a ray has still to visit waits on its stack as one number: the distance at which it enters a box, and below it a
+// node of the tree that it is in, or a leaf of the top level. Distances are not negative: numbers have their order.
+constexpr std::uint32_t top_leaf_bit = 1u << 31;
+// A level of either tree leaves seven of its children at most.
+constexpr int distance_stack_entries = 2 * max_tree_levels * (wide_node_children - 1) + 1;
+
+// Puts the nearest on top.
+inline void sort_distances(std::uint64_t* entries, int count) {
+    for (int i = 1; i < count; ++i) {
+        const std::uint64_t entry = entries[i];
+        int place = i;
+        for (; place > 0 && entries[place - 1] < entry; --place) entries[place] = entries[place - 1];
+        entries[place] = entry;
+    }
+}
 
 template <bool any_hit, class Passes>
 inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
-    constexpr std::uint32_t is_leaf = 1u << 31;  // of the top level; else a node
     const EightBoxRay world_ray(_mm_setr_ps(ray.origin.x, ray.origin.y, ray.origin.z, 0),
                                 _mm_setr_ps(ray.direction.x, ray.direction.y, ray.direction.z, 0));
     EightBoxRay object_ray;
     TriangleRay triangle_ray;
     std::int32_t object_ray_instance = -1, triangle_ray_instance = -1;  // for which they are known
     const EightBoxRay* box_ray = &world_ray;
-    DistanceStack stack;
-    int instance_floor = 0;      // stack size at which the current instance is done
-    std::int32_t instance = -1;  // -1: in the top level
+    std::uint64_t stack[distance_stack_entries];
+    int size = 0;
+    int instance_floor = -1;     // stack size at which the current instance is done; -1: in the top level
+    std::int32_t instance = -1;
     const WideNode* nodes = scene.nodes;
     const LeafTriangle* triangles = nullptr;
     float t_max = ray.t_max;
+    std::uint32_t child = scene.has_one_leaf ? top_leaf_bit : 0;
 
-    // Returns whether the search ends.
-    const auto test_triangles = [&](std::uint32_t first, std::uint32_t bits) {
-        if (instance != triangle_ray_instance) {
-            triangle_ray_instance = instance;
-            triangle_ray = object_ray.triangle_ray();
-        }
-        while (bits) {
-            const LeafTriangle* lanes[4];
-            const int count = count_set_bits(bits);
-            const LeafTriangle* last = nullptr;
-            for (int i = 0; i < 4; ++i) {
-                if (bits) last = triangles + first + lowest_set_bit(bits);
-                lanes[i] = last;
-                bits &= bits - 1;
-            }
-            FourHits four;
-            std::uint32_t hit_lanes = intersect_four(triangle_ray, lanes, ray.t_min, ray.t_max, t_max, four);
-            if (count < 4) hit_lanes &= (1u << count) - 1;
-            for (; hit_lanes; hit_lanes &= hit_lanes - 1) {
-                const int i = lowest_set_bit(hit_lanes);
-                const LeafTriangle& triangle = *lanes[i];
-                const float t = four.t[i];
-                const Hit found{t, four.weight1[i], four.weight2[i], instance, triangle.index,
-                                std::int32_t(lanes[i] - triangles)};
-                if constexpr (!any_hit) {
-                    const bool closer = t < t_max || (t == t_max && (instance < hit.instance ||
-                                                                     (instance == hit.instance &&
-                                                                      found.triangle < hit.triangle)));
-                    if (!closer) continue;
-                }
-                if (passes(triangle_ray, triangle, found)) continue;
-                if constexpr (any_hit) return true;
-                t_max = t;
-                hit = found;
-            }
-        }
-        return false;
+    const auto entry = [](float distance, std::uint32_t child) {
+        return std::uint64_t(bits_of(distance)) << 32 | child;
     };
-
-    std::uint32_t child = scene.has_one_leaf ? is_leaf : 0;
     for (;;) {
-        if (child & is_leaf) {
-            const TopLeaf leaf = scene.top_leaves[child & ~is_leaf];
+        std::uint32_t first_primitive = 0, primitives = 0;
+        if (child & top_leaf_bit) {
+            const TopLeaf leaf = scene.top_leaves[child & ~top_leaf_bit];
             const Instance& placed = scene.instances[leaf.instance];
             if (placed.visibility & ray.kind) {
-                instance_floor = stack.size();
+                instance_floor = size;
                 instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
                 nodes = mesh.nodes;
@@ -278,44 +266,58 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                     child = leaf.first;
                     continue;
                 }
-                if (test_triangles(leaf.first, leaf.bits)) return true;
+                first_primitive = leaf.first;
+                primitives = leaf.bits;
             }
         } else {
             const WideNode& node = nodes[child];
             alignas(32) float enter[wide_node_children];
             const std::uint32_t met = intersect_eight(node, *box_ray, ray.t_min, t_max, enter);
             const std::uint32_t inner = node.inner_slots();
-            const int first = stack.size();
+            const auto* const slots = reinterpret_cast<const std::uint8_t*>(node.slot);
+            const int first = size;
             for (std::uint32_t left = met & inner; left; left &= left - 1) {
                 const int slot = lowest_set_bit(left);
                 const std::uint32_t next =
                     node.first_child + std::uint32_t(count_set_bits(inner & ((1u << slot) - 1)));
-                _mm_prefetch(reinterpret_cast<const char*>(nodes + next), _MM_HINT_T0);
-                _mm_prefetch(reinterpret_cast<const char*>(nodes + next) + 64, _MM_HINT_T0);
-                stack.push(enter[slot], next);
+                prefetch(nodes + next);
+                prefetch(reinterpret_cast<const char*>(nodes + next) + 64);
+                stack[size++] = entry(enter[slot], next);
             }
-            std::uint32_t primitives = 0;
-            for (std::uint32_t left = met & ~inner; left; left &= left - 1) {
-                const int slot = lowest_set_bit(left);
-                const std::uint32_t bits = WideNode::byte(node.slot, slot);
-                if (instance < 0)
-                    stack.push(enter[slot], is_leaf | (node.first_primitive + WideNode::first_of(bits)));
-                primitives |= (bits >> 5) << WideNode::first_of(bits);
+            std::uint32_t left = met & ~inner;
+            if (instance_floor < 0) {
+                for (; left; left &= left - 1) {
+                    const int slot = lowest_set_bit(left);
+                    const std::uint32_t leaf = node.first_primitive + WideNode::first_of(slots[slot]);
+                    stack[size++] = entry(enter[slot], top_leaf_bit | leaf);
+                }
+            } else {
+                first_primitive = node.first_primitive;
+                for (; left; left &= left - 1) {
+                    const std::uint32_t slot = slots[lowest_set_bit(left)];
+                    primitives |= (slot >> 5) << WideNode::first_of(slot);
+                }
             }
-            stack.sort_from(first);
-            if (instance >= 0 && primitives && test_triangles(node.first_primitive, primitives)) return true;
+            if (size - first > 1) sort_distances(stack + first, size - first);
         }
-        for (;;) {
-            if (instance >= 0 && stack.size() == instance_floor) {
-                instance = -1;
+        if (primitives) {
+            if (instance != triangle_ray_instance) {
+                triangle_ray_instance = instance;
+                triangle_ray = object_ray.triangle_ray();
+            }
+            if (test_triangles<any_hit>(triangles, first_primitive, primitives, instance, triangle_ray, ray, hit, passes))
+                return true;
+            if constexpr (!any_hit) t_max = min(t_max, hit.t);
+        }
+        do {
+            if (size == instance_floor) {
+                instance_floor = -1;
                 nodes = scene.nodes;
                 box_ray = &world_ray;
             }
-            if (stack.is_empty()) return t_max < ray.t_max;
-            float distance;
-            child = stack.pop(distance);
-            if (distance <= t_max) break;
-        }
+            if (size == 0) return !any_hit && hit.found();
+            child = std::uint32_t(stack[--size]);
+        } while (float_from_bits(std::uint32_t(stack[size] >> 32)) > t_max);
     }
 }
 
