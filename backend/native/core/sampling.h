@@ -89,8 +89,8 @@ struct Sampler {
     }
 };
 
-// The pairs of a path's vertex, from `direction` to `light`. The host draws all four at once, a lane for each; the device
-// each where it is used, to have its registers for other things.
+// The pairs of a path's vertex, from `direction` to `light`. The host draws all four at once, in lanes; the device each
+// where it is used, to have its registers for other things.
 class VertexSampler {
 public:
 #if defined(__CUDA_ARCH__)
@@ -112,7 +112,8 @@ private:
             value[i] = owen_scramble_reversed(reversed_sample, pair_key);
             value[pairs + i] = sobol_second_dimension(value[i]);
         }
-        for (std::uint32_t i = 0; i < 2 * pairs; ++i) number_[i] = unit_float(owen_scramble(value[i], mix_bits(key[i])));
+        for (std::uint32_t i = 0; i < 2 * pairs; ++i)
+            number_[i] = unit_float(owen_scramble(value[i], mix_bits(key[i])));
     }
     SVGF_HD Vec2 pair(SamplePair name) const {
         const std::uint32_t i = std::uint32_t(name) - first_pair;

@@ -10,6 +10,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -85,8 +86,8 @@ public:
         StreamScope(Device&, std::optional<uintptr_t>) {}
     };
 
-    // Milliseconds per stage since the last call, in launch order. Here every stage is one launch.
-    std::vector<std::pair<std::string, double>> take_timings(bool = false) { return std::exchange(timings_, {}); }
+    // Milliseconds per stage since the last call, in launch order; by_launch: one row for each of its launches.
+    std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 
     // May be called from any thread: the stage that runs, or else the next one, throws Interrupted.
     void interrupt() { interrupted_ = true; }
@@ -107,9 +108,10 @@ private:
         add_timing(name, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
     }
 
-    void add_timing(const char* name, double milliseconds);
+    // name: a literal.
+    void add_timing(std::string_view name, double milliseconds);
 
-    std::vector<std::pair<std::string, double>> timings_;
+    std::vector<std::pair<std::string_view, double>> launches_;
     std::atomic<bool> interrupted_{false};
 };
 

@@ -106,8 +106,8 @@ SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangl
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
 
-// A component of a direction that is closer to zero, or a smaller share of the largest one, counts as this: too small to
-// matter, and no product is infinite or NaN.
+// A component of a direction that is closer to zero, or a smaller share of the largest one, counts as this: too small
+// to matter, and no product is infinite or NaN.
 constexpr float smallest_component = 1e-30f, smallest_share = 1e-15f;
 
 struct BoxRay {

@@ -103,8 +103,8 @@ SVGF_HD inline float sample_channel(const TextureView& texture, Vec2 uv, std::in
     return texture.srgb && channel < 3 ? srgb_to_linear(stored) : stored;
 }
 
-// Sends for the texels at uv. It pays to ask for those of all maps of a surface before the first one is read: in Sponza,
-// whose textures are far larger than the caches of a core, a CPU would wait for them a seventh of the time.
+// Sends for the texels at uv. It pays to do so for all maps of a surface before the first one is read: in Sponza, whose
+// textures are far larger than the caches of a core, a CPU would wait for them a seventh of the time.
 SVGF_HD inline void prefetch_texture(const TextureView& texture, Vec2 uv) {
     const auto texel = [](float u, int size, Extension extension) {
         return clamp(int(reduce_coordinate(u, extension) * float(size) - 0.5f), 0, size - 1);

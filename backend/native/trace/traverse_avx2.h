@@ -17,8 +17,8 @@
 
 namespace svgf {
 
-// Where in a WideNode the sides of its children are that a ray enters and leaves by, for each octant of directions: bit k
-// is set where the direction is negative along axis k.
+// Where in a WideNode the sides of its children are that a ray enters and leaves by, for each octant of directions: bit
+// k is set where the direction is negative along axis k.
 struct NodeSides {
     std::uint32_t near[3], far[3];
 };
@@ -58,8 +58,9 @@ struct EightBoxRay {
         __m128 translation = _mm_setzero_ps();
         _MM_TRANSPOSE4_PS(x, y, z, translation);  // to columns
         const auto linear = [&](__m128 v) {
-            return _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, _mm_shuffle_ps(v, v, 0x00)), _mm_mul_ps(y, _mm_shuffle_ps(v, v, 0x55))),
-                              _mm_mul_ps(z, _mm_shuffle_ps(v, v, 0xaa)));
+            const __m128 along_x = _mm_mul_ps(x, _mm_shuffle_ps(v, v, 0x00));
+            const __m128 along_y = _mm_mul_ps(y, _mm_shuffle_ps(v, v, 0x55));
+            return _mm_add_ps(_mm_add_ps(along_x, along_y), _mm_mul_ps(z, _mm_shuffle_ps(v, v, 0xaa)));
         };
         return {_mm_add_ps(linear(origin), translation), linear(direction)};
     }
@@ -95,9 +96,10 @@ SVGF_ALWAYS_INLINE inline std::uint32_t intersect_eight(const WideNode& node, co
         const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes + offset)));
         return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words), lane(scale, axis), lane(from, axis));
     };
-    const __m256 near_x = distances(ray.sides->near[0], near_start, 0), far_x = distances(ray.sides->far[0], far_start, 0);
-    const __m256 near_y = distances(ray.sides->near[1], near_start, 1), far_y = distances(ray.sides->far[1], far_start, 1);
-    const __m256 near_z = distances(ray.sides->near[2], near_start, 2), far_z = distances(ray.sides->far[2], far_start, 2);
+    const NodeSides& sides = *ray.sides;
+    const __m256 near_x = distances(sides.near[0], near_start, 0), far_x = distances(sides.far[0], far_start, 0);
+    const __m256 near_y = distances(sides.near[1], near_start, 1), far_y = distances(sides.far[1], far_start, 1);
+    const __m256 near_z = distances(sides.near[2], near_start, 2), far_z = distances(sides.far[2], far_start, 2);
     const __m256 entered = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
     const __m256 left = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
     _mm256_store_ps(enter, entered);
@@ -155,7 +157,8 @@ SVGF_ALWAYS_INLINE inline std::uint32_t intersect_four(const TriangleRay& ray, c
         return _mm256_cvtpd_ps(_mm256_sub_pd(_mm256_mul_pd(a, b), _mm256_mul_pd(c, d)));
     };
     const __m128 u = difference(cx, by, cy, bx), v = difference(ax, cy, ay, cx), w = difference(bx, ay, by, ax);
-    const __m128 zero = _mm_setzero_ps(), least = _mm_min_ps(_mm_min_ps(u, v), w), most = _mm_max_ps(_mm_max_ps(u, v), w);
+    const __m128 zero = _mm_setzero_ps();
+    const __m128 least = _mm_min_ps(_mm_min_ps(u, v), w), most = _mm_max_ps(_mm_max_ps(u, v), w);
     const __m128 inside = _mm_or_ps(_mm_cmpge_ps(least, zero), _mm_cmple_ps(most, zero));
     const __m128 determinant = _mm_add_ps(_mm_add_ps(u, v), w);
     const __m128 counts = _mm_and_ps(inside, _mm_cmpneq_ps(determinant, zero));
@@ -169,13 +172,13 @@ SVGF_ALWAYS_INLINE inline std::uint32_t intersect_four(const TriangleRay& ray, c
     _mm_store_ps(hits.t, t);
     _mm_store_ps(hits.weight1, _mm_mul_ps(v, inverse));
     _mm_store_ps(hits.weight2, _mm_mul_ps(w, inverse));
-    const __m128 within = _mm_and_ps(_mm_and_ps(_mm_cmpgt_ps(t, _mm_set1_ps(t_min)), _mm_cmplt_ps(t, _mm_set1_ps(t_end))),
-                                     _mm_cmple_ps(t, _mm_set1_ps(t_max)));
+    const __m128 in_ray = _mm_and_ps(_mm_cmpgt_ps(t, _mm_set1_ps(t_min)), _mm_cmplt_ps(t, _mm_set1_ps(t_end)));
+    const __m128 within = _mm_and_ps(in_ray, _mm_cmple_ps(t, _mm_set1_ps(t_max)));
     return std::uint32_t(_mm_movemask_ps(_mm_and_ps(counts, within)));
 }
 
-// The triangles of a mesh from `first` on whose bits are set. Returns whether the search ends; of the closest hit, hit.t
-// is how far the ray goes on.
+// The triangles of a mesh from `first` on whose bits are set. Returns whether the search ends; else hit.t is how far
+// the ray goes on.
 template <bool any_hit, class Passes>
 bool test_triangles(const LeafTriangle* triangles, std::uint32_t first, std::uint32_t bits,
                                   std::int32_t instance, const TriangleRay& triangle_ray, const Ray& ray, Hit& hit,
@@ -226,6 +229,7 @@ inline void sort_distances(std::uint64_t* entries, int count) {
     }
 }
 
+// hit is a new one: its distance is infinite.
 template <bool any_hit, class Passes>
 inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     const EightBoxRay world_ray(_mm_setr_ps(ray.origin.x, ray.origin.y, ray.origin.z, 0),
@@ -305,7 +309,8 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                 triangle_ray_instance = instance;
                 triangle_ray = object_ray.triangle_ray();
             }
-            if (test_triangles<any_hit>(triangles, first_primitive, primitives, instance, triangle_ray, ray, hit, passes))
+            if (test_triangles<any_hit>(triangles, first_primitive, primitives, instance, triangle_ray, ray, hit,
+                                        passes))
                 return true;
             if constexpr (!any_hit) t_max = min(t_max, hit.t);
         }
