@@ -125,6 +125,16 @@ def test_bench_cycles(tmp_path: Path) -> None:
     scene = bpy.context.scene
     assert scene.render.engine == "CYCLES" and (scene.render.resolution_x, scene.render.resolution_y) == (64, 36)
     assert (scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising) == (1, 1, False)
-    text = assert_done(run("bench", "cycles", tmp_path / "cube.blend", *options))
-    assert "64x36, 1 sample per pixel: median ms of 2 frames" in text
     assert_refused(run("bench", "cycles", tmp_path / "nowhere.blend", *options), "There is no file")
+
+
+def test_table_of_bench_cycles(monkeypatch) -> None:
+    from svgf.bench import cycles
+
+    pytest.importorskip("bpy", reason="bpy is not installed: pip install svgf[blender]")
+    measured = cycles.CyclesComparison("room", wall=200.0, cycles_wall=300.0, processor=400.0, cycles_processor=1000.0)
+    monkeypatch.setattr(cycles, "measure", lambda *arguments: measured)
+    text = assert_done(run("bench", "cycles", "room.blend", "--size", "64x36", "--count", 2))
+    assert "64x36, 1 sample per pixel: median ms of 2 frames" in text
+    (line,) = (line for line in text.splitlines() if "room" in line)
+    assert [cell.strip() for cell in line.split("│")[1:-1]] == ["room", "200", "300", "1.50x", "400", "1000", "2.50x"]
