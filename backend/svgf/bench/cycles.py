@@ -55,9 +55,7 @@ def measure(
     what the file says. step: called after each pair of frames, the one that does not count included.
     """
     kinds = () if bounces is None else ("diffuse_bounces", "glossy_bounces", "transmission_bounces")
-    settings = Settings(
-        *size, method="none", pixel_filter="box", bounces=bounces, **dict.fromkeys(kinds, bounces)
-    )
+    settings = Settings(*size, method="none", pixel_filter="box", bounces=bounces, **dict.fromkeys(kinds, bounces))
     renderer = Renderer(settings, open_device("cpu"))
     with closing(export_file(path, size=size)) as scenes:
         scene = next(scenes).at_rest()
