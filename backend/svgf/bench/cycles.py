@@ -23,7 +23,7 @@ from ..settings import Settings
 
 @dataclass(frozen=True)
 class CyclesComparison:
-    """Medians in ms. wall: the clock's. processor: the time of all cores together, which other programs disturb less."""
+    """Medians in ms. wall: the clock's. processor: of all cores together, which other programs disturb less."""
 
     scene: str
     wall: float
