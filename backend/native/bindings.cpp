@@ -571,6 +571,8 @@ NB_MODULE(SVGF_MODULE, module) {
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
         .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false)
+        .def("resize", &Denoiser::resize, "width"_a, "height"_a, nb::call_guard<nb::gil_scoped_release>(),
+             "The next frame is of another size; history goes on in it.")
         .def("history_images", [](Denoiser& denoiser) {
             return host_images(denoiser, denoiser.history_images());
         }, "What the next frame starts from.")
