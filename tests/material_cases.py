@@ -88,6 +88,16 @@ def normal_texture(size: int = 16) -> Texture:
     return Texture("bumps", values, False)
 
 
+def with_tangents(scene: Scene, layer: int) -> Scene:
+    """The ball with tangents of its own, which are not those of its UVs, a few of them missing."""
+    floor, ball = scene.meshes
+    random = np.random.default_rng(6)
+    tangents = random.normal(size=(len(ball.triangles), 3, 4)).astype(np.float32)
+    tangents[..., 3] = np.sign(tangents[:, :1, 3])
+    tangents[:20, :, :3] = 0
+    return dataclasses.replace(scene, meshes=(floor, dataclasses.replace(ball, tangents=tangents, tangent_layer=layer)))
+
+
 def curtain(planes: int, material: Material, emission: float = 1.0, size: float = 4.0) -> Scene:
     """Planes of a material one behind the other, before a wall that shines evenly and under a sun."""
     wall = Material("wall", kind=MaterialKind.DIFFUSE, base_color=(0.0, 0.0, 0.0), emission=(emission,) * 3)
@@ -128,6 +138,11 @@ def varied_scenes() -> dict[str, Scene]:
     return {
         "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),
+        "bumpy_tangents": with_tangents(material_scene(plastic, textures=[normal_texture()], layers=2), 1),
+        "bumpy_other_tangents": with_tangents(material_scene(matte, textures=[normal_texture()], layers=2), 0),
+        "brushed_tangents": with_tangents(
+            material_scene(Material("brushed", metallic=1.0, anisotropic=0.8, tangent_uv_layer=0)), 0
+        ),
         "bumpy_matte": material_scene(matte, textures=[normal_texture()], layers=2),
         "mapped": material_scene(mapped, textures=[noise_texture(), noise_texture(4, low=1.0, high=2.0)], layers=2),
         "mix": material_scene(mix, glass, red),

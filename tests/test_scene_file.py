@@ -69,6 +69,8 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
                 6,
                 uvs=random.random((2, 6, 3, 2), np.float32),
                 previous_positions=random.random((5, 3), np.float32),
+                tangents=random.random((6, 3, 4), np.float32),
+                tangent_layer=1,
             ),
         ),
         instances=Instances(

@@ -76,13 +76,11 @@ class SurfaceReader:
         self,
         inputs: InputReader,
         find: Callable[[str], None],
-        layer_of: Callable[[str], int],
         displacement: baking.Bump | None,
     ) -> None:
-        """layer_of: UV layer of a map. displacement: what bends the normals of the whole material."""
+        """displacement: what bends the normals of the whole material."""
         self._inputs = inputs
         self._find = find
-        self._layer_of = layer_of
         self._displacement = displacement
         self._above: list[tuple] = []
         self._readers: dict[str, Callable[[Place], Surface]] = {
@@ -276,7 +274,7 @@ class SurfaceReader:
         if not driver.is_output:
             return
         if driver.node.type == "TANGENT" and driver.node.direction_type == "UV_MAP":
-            fields.values["tangent_uv_layer"] = self._layer_of(driver.node.uv_map)
+            fields.values["tangent_uv_layer"] = self._inputs.layer(driver.node.uv_map)
         elif driver.node.type != "TANGENT" or driver.node.axis != "Z":
             self._find(f"tangents of {describe(driver.node)} are not supported yet; they circle around the Z axis.")
 

@@ -211,17 +211,20 @@ nb::object to_numpy(Device& device, nb::object image) {
 
 std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, HostArray<int32_t> triangles,
                                 HostArray<float> normals, std::optional<HostArray<float>> uvs,
-                                HostArray<int32_t> material_slots, std::optional<HostArray<float>> previous_positions) {
-    const Mesh::Arrays arrays{span_of(positions), span_of(triangles),      span_of(normals),
-                              span_of(uvs),       span_of(material_slots), span_of(previous_positions)};
+                                HostArray<int32_t> material_slots, std::optional<HostArray<float>> previous_positions,
+                                std::optional<HostArray<float>> tangents, int tangent_layer) {
+    const Mesh::Arrays arrays{span_of(positions),          span_of(triangles), span_of(normals), span_of(uvs),
+                              span_of(material_slots),     span_of(previous_positions),
+                              span_of(tangents),           tangent_layer};
     nb::gil_scoped_release release;
     return std::make_shared<Mesh>(device, arrays);
 }
 
 bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArray<float> normals,
-                HostArray<float> previous_positions) {
+                HostArray<float> previous_positions, std::optional<HostArray<float>> tangents) {
     const Mesh::Arrays arrays{.positions = span_of(positions), .triangles = {}, .normals = span_of(normals), .uvs = {},
-                              .material_slots = {}, .previous_positions = span_of(previous_positions)};
+                              .material_slots = {}, .previous_positions = span_of(previous_positions),
+                              .tangents = span_of(tangents)};
     nb::gil_scoped_release release;
     return mesh.refit(device, arrays);
 }
@@ -531,8 +534,10 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
-             "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
-        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a)
+             "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none(), "tangents"_a = nb::none(),
+             "tangent_layer"_a = 0)
+        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a,
+             "tangents"_a = nb::none())
         .def_prop_ro("bytes", &Mesh::bytes);
 
     nb::class_<Texture>(module, "Texture")

@@ -100,11 +100,18 @@ class SceneUploader:
         for index, (last, native) in enumerate(retired):
             if _deforms_into(last, mesh):
                 del retired[index]
-                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions):
+                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions, mesh.tangents):
                     return native
                 break
         return self._device.mesh(
-            mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
+            mesh.positions,
+            mesh.triangles,
+            mesh.normals,
+            mesh.uvs,
+            mesh.material_slots,
+            mesh.previous_positions,
+            mesh.tangents,
+            mesh.tangent_layer,
         )
 
     def _new_texture(self, texture: Texture, _: list[tuple[Texture, Any]]) -> Any:
@@ -142,6 +149,7 @@ def _deforms_into(last: Mesh, mesh: Mesh) -> bool:
         and last.previous_positions is not None
         and mesh.previous_positions is not None
         and last.positions.shape == mesh.positions.shape
+        and last.tangent_layer == mesh.tangent_layer
         and all(_same(getattr(last, name), getattr(mesh, name)) for name in ("triangles", "material_slots", "uvs"))
     )
 

@@ -93,6 +93,9 @@ class Mesh:
     of each mesh; a layer that a mesh does not have reads as (0, 0).
     material_slots: int32 [T], index into the material list of the instance.
     previous_positions: float32 [V, 3] at the previous frame where the mesh deforms, else None.
+    tangents: float32 [T, 3, 4], MikkTSpace's unit tangent of each corner [Mikkelsen08] and 1, or -1 where V lies to its
+    right, of the UV layer tangent_layer; zero vectors and None: those of the triangle. Normal maps and anisotropy of
+    other layers have the triangle's, too.
     """
 
     name: str
@@ -102,6 +105,8 @@ class Mesh:
     material_slots: np.ndarray
     uvs: np.ndarray | None = None
     previous_positions: np.ndarray | None = None
+    tangents: np.ndarray | None = None
+    tangent_layer: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -396,6 +396,8 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "material_slots": _array,
         "uvs": _optional(_array),
         "previous_positions": _optional(_array),
+        "tangents": _optional(_array),
+        "tangent_layer": _integer,
     },
     Instances: {
         **dict.fromkeys((field.name for field in fields(Instances)), _array),

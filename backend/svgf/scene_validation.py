@@ -256,6 +256,9 @@ def _check_mesh(field: str, mesh: Mesh) -> _MeshFacts:
         if layers and not 1 <= len(uvs) <= MOST_UV_LAYERS:
             raise _Invalid(f"{field}.uvs", f"has {len(uvs)} layers, not 1 to {MOST_UV_LAYERS}")
         _finite(f"{field}.uvs", uvs)
+    if mesh.tangents is not None:
+        _finite(f"{field}.tangents", _array(f"{field}.tangents", mesh.tangents, np.float32, (count, 3, 4)))
+    _integer(f"{field}.tangent_layer", mesh.tangent_layer, 0, MOST_UV_LAYERS - 1)
 
     warnings = []
     broken = ~np.isfinite(positions).all(axis=1)

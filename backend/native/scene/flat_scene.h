@@ -26,6 +26,9 @@ struct alignas(16) CornerNormals {  // 48 bytes; all zero: use the face normal
 struct alignas(8) CornerUvs {  // 24 bytes
     Vec2 corner[3];
 };
+struct alignas(16) CornerTangents {  // 48 bytes; along U, and the side of V: 1 or -1
+    Vec4 corner[3];
+};
 struct TrianglePositions {  // 36 bytes
     Vec3 vertex[3];
 };
@@ -36,7 +39,9 @@ struct MeshView {
     const LeafTriangle* triangles = nullptr;
     const CornerNormals* normals = nullptr;                 // null: face normals everywhere
     const CornerUvs* uvs = nullptr;                         // [uv_layers, triangle_count]
+    const CornerTangents* tangents = nullptr;               // null: those of the triangles
     const TrianglePositions* previous_positions = nullptr;  // null: as now
+    std::int32_t tangent_layer = 0;                         // of UVs, to which tangents belong
     std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
     std::int32_t triangle_count = 0;
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
