@@ -143,6 +143,17 @@ def varied_scenes() -> dict[str, Scene]:
         "brushed_tangents": with_tangents(
             material_scene(Material("brushed", metallic=1.0, anisotropic=0.8, tangent_uv_layer=0)), 0
         ),
+        "bumpy_below_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, roughness=0.4), textures=[normal_texture()], layers=2
+        ),
+        "bumpy_below_smooth_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, coat_roughness=0.0, emission=(0.2, 0.1, 0.1)),
+            textures=[normal_texture()],
+            layers=2,
+        ),
+        "bumpy_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, coat_normal_mapped=True), textures=[normal_texture()], layers=2
+        ),
         "bumpy_matte": material_scene(matte, textures=[normal_texture()], layers=2),
         "mapped": material_scene(mapped, textures=[noise_texture(), noise_texture(4, low=1.0, high=2.0)], layers=2),
         "mix": material_scene(mix, glass, red),

@@ -200,11 +200,14 @@ class Exporter:
         meshes = add_tangents(placements.meshes, materials.mesh_tangents(use), self._tangents)
         world = getattr(view_layer, "world_override", None) or scene.world
         waits = waits or bpy.app.background
-        world, sky = export_world(world, self._textures, findings, self.should_stop if waits else None)
-        textures = list(materials.textures)
-        if sky is not None:
-            world = replace(world, environment=len(textures))
-            textures.append(sky)
+        world, pictures = export_world(world, self._textures, findings, self.should_stop if waits else None)
+        first = len(materials.textures)
+        world = replace(
+            world,
+            environment=world.environment + first if world.environment >= 0 else -1,
+            backdrop_environment=world.backdrop_environment + first if world.backdrop_environment >= 0 else -1,
+        )
+        textures = [*materials.textures, *pictures]
         keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
             frame=scene.frame_current,

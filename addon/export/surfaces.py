@@ -126,8 +126,7 @@ class SurfaceReader:
         if fields.may_have("coat_weight"):
             self._numbers(fields, node, _COAT)
             self._colors(fields, node, coat_tint="Coat Tint")
-            if trace(node.input("Coat Normal")).is_output:
-                self._find("a normal of the coat's own is not supported yet; it has that of the surface below.")
+            self._coat_normal(fields, node)
         self._numbers(fields, node, {"sheen_weight": ("Sheen Weight", 0.0, 1.0)})
         if fields.may_have("sheen_weight"):
             self._numbers(fields, node, _SHEEN)
@@ -299,6 +298,13 @@ class SurfaceReader:
         if texture_map is not None:
             fields.maps["normal"] = texture_map
             fields.values["normal_strength"] = strength
+
+    def _coat_normal(self, fields: _Fields, node: Place) -> None:
+        """Without a link the coat is smooth, but for what displaces the whole surface."""
+        coat, base = trace(node.input("Coat Normal")), trace(node.input("Normal"))
+        if coat.is_output and (not base.is_output or coat.key != base.key):
+            self._find("a normal map of the coat's own is not supported yet; it has that of the surface below.")
+        fields.values["coat_normal_mapped"] = coat.is_output or (self._displacement is not None and not base.is_output)
 
     def _constant(self, place: Place):
         """A constant of a node that no texture can drive."""

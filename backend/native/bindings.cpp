@@ -264,12 +264,16 @@ void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, 
 }
 
 void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
-               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf) {
+               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf,
+               HostArray<float> backdrop_radiance, int backdrop_texture) {
     const auto color = fixed_span<3>(radiance, "world_radiance");
+    const auto backdrop = fixed_span<3>(backdrop_radiance, "backdrop_radiance");
     const auto rotation = fixed_span<9>(to_environment, "world_to_environment");
     Tracer::World world{.radiance = {color[0], color[1], color[2]},
                         .visibility = visibility,
                         .texture = texture,
+                        .backdrop_radiance = {backdrop[0], backdrop[1], backdrop[2]},
+                        .backdrop_texture = backdrop_texture,
                         .light = light,
                         .row_cdf = span_of(row_cdf),
                         .column_cdf = span_of(column_cdf)};
@@ -560,7 +564,7 @@ NB_MODULE(SVGF_MODULE, module) {
              "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
              "emission_maps"_a)
         .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
-             "row_cdf"_a, "column_cdf"_a)
+             "row_cdf"_a, "column_cdf"_a, "backdrop_radiance"_a, "backdrop_texture"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
              "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,

@@ -68,6 +68,8 @@ class SceneUploader:
                 self._rounded(flat.world_to_environment),
                 flat.row_cdf,
                 flat.column_cdf,
+                self._rounded(flat.backdrop_radiance),
+                flat.backdrop_environment,
             )
         self._tracer.set_camera(*(np.asarray(getattr(flat, name), self._dtype) for name in CAMERA_FIELDS))
         self.last = flat
@@ -135,7 +137,7 @@ LIGHT_FIELDS = (
 )  # fmt: skip
 WORLD_FIELDS = (
     "world_radiance", "world_visibility", "environment", "environment_light", "world_to_environment", "row_cdf",
-    "column_cdf",
+    "column_cdf", "backdrop_radiance", "backdrop_environment",
 )  # fmt: skip
 CAMERA_FIELDS = (
     "camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip", "lens", "previous_lens",

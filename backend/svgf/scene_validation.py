@@ -130,6 +130,9 @@ def _check_world(world: World, texture_count: int) -> None:
     if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=1e-3):
         raise _Invalid("world.world_to_environment", "is no rotation; its rows must be perpendicular unit vectors")
     _instance("world.visibility", world.visibility, RayVisibility)
+    if world.backdrop_radiance is not None:
+        _numbers("world.backdrop_radiance", world.backdrop_radiance, 3, 0.0)
+    _integer("world.backdrop_environment", world.backdrop_environment, -1, texture_count - 1)
 
 
 def _check_camera(field: str, camera: Camera) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from blend import add_camera, add_image, add_light, add_material, add_shader
+from blend import add_camera, add_image, add_light, add_material, add_shader, add_world
 from test_cycles_light import assert_same_picture, render_svgf
 
 pytestmark = pytest.mark.skipif(not hasattr(bpy.types.Scene, "cycles"), reason="The Cycles add-on is disabled.")
@@ -56,3 +56,34 @@ def test_tangents_of_triangles_would_show(monkeypatch):
     monkeypatch.setattr("svgf_blender.export.exporter.add_tangents", lambda meshes, *_: meshes)
     rough = render_svgf(64, 1)
     assert (np.abs(rough - smooth).max(axis=2) > 0.03 * smooth.mean()).mean() > 0.05
+
+
+@pytest.mark.parametrize(
+    "inputs",
+    [{"Roughness": 0.5}, {"Roughness": 0.4, "Metallic": 1.0}],
+    ids=["plastic", "metal"],
+)
+def test_normals_that_lean_away_from_the_viewer(tmp_path, inputs):
+    """Diffuse light has the map's normal, reflections one that keeps them above the surface."""
+    tree, shader, normal = ball("ShaderNodeBsdfPrincipled", **{"Base Color": (0.5, 0.6, 0.7), **inputs})
+    tree.links.new(normal.outputs["Normal"], shader.inputs["Normal"])
+    add_world((0.2, 0.25, 0.3), 1.0)
+    bpy.context.scene.cycles.max_bounces = 0
+    assert_same_picture(tmp_path)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+@pytest.mark.parametrize("follows", [False, True])
+def test_coat(tmp_path, roughness, follows):
+    """Smooth over the normal map, unless the map is linked to it, too."""
+    tree, shader, normal = ball(
+        "ShaderNodeBsdfPrincipled",
+        **{"Base Color": (0.5, 0.1, 0.1), "Roughness": 0.5, "Coat Weight": 1.0, "Coat Roughness": roughness},
+    )
+    tree.links.new(normal.outputs["Normal"], shader.inputs["Normal"])
+    if follows:
+        tree.links.new(normal.outputs["Normal"], shader.inputs["Coat Normal"])
+    add_world((0.4, 0.5, 0.6), 1.0)
+    cycles = bpy.context.scene.cycles
+    cycles.max_bounces, cycles.blur_glossy, cycles.sample_clamp_indirect = 2, 0.0, 0.0
+    assert_same_picture(tmp_path)

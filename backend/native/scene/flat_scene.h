@@ -112,7 +112,8 @@ struct alignas(16) Material {
     std::int32_t map_start, map_count, tangent_uv_layer;
     float multiscatter;  // 1: with energy compensation; 0: without
     Vec3 light_emission;
-    std::int32_t alpha_map;  // of material_maps; -1: alpha is a constant
+    std::int32_t alpha_map : 31;  // of material_maps; -1: alpha is a constant
+    std::uint32_t coat_normal_mapped : 1;
 };
 static_assert(sizeof(Material) == 48 * sizeof(float));
 
@@ -232,6 +233,8 @@ struct WorldView {
     Vec3 radiance;  // times the environment's
     std::uint32_t visibility = ray_kind::all;
     std::int32_t texture = -1;  // the environment image
+    Vec3 backdrop_radiance;     // the same two as the camera's rays see them
+    std::int32_t backdrop_texture = -1;
     Vec3 to_environment[3];     // rows of a rotation
     // The density of directions that are sampled, constant within each cell of equirectangular maps: [rows + 1] and
     // [rows, columns + 1]. Null: the environment is only found by rays that run into it.

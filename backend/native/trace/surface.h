@@ -287,9 +287,14 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
                                            material.tangent_uv_layer);
     surface.emission = material.emission;
     if constexpr (covers(kernel, Effects::coat) || covers(kernel, Effects::sheen))
-        if (max_component(surface.emission) > 0.0f && material.kind == MaterialKind::principled)
-            surface.emission = surface.emission * Layers<kernel>(scene.albedo_tables, material,
-                                                                 std::fabs(dot(surface.shading_normal, view))).below;
+        if (max_component(surface.emission) > 0.0f && material.kind == MaterialKind::principled) {
+            const float cos_view = std::fabs(dot(surface.shading_normal, view));
+            float cos_coat = cos_view;
+            if constexpr (covers(kernel, Effects::normal_maps))
+                if (has_smooth_coat_normal(material)) cos_coat = std::fabs(dot(surface.smooth_normal, view));
+            const Layers<kernel> layers(scene.albedo_tables, material, cos_view, cos_coat);
+            surface.emission = surface.emission * layers.below;
+        }
     if constexpr (covers(kernel, Effects::alpha)) {
         const Opacity found = find_opacity(material);
         surface.emission *= found.opacity;

@@ -12,7 +12,7 @@ from ..scene import MaterialKind
 from .bsdf import Bsdf, make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
-from .layers import column, make_layers
+from .layers import column, has_smooth_coat_normal, make_layers
 from .lights import Lights
 from .microfacet import fresnel_dielectric
 from .texture import Texture
@@ -197,7 +197,8 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
     )
 
     opacity, tint = find_opacity(rows)
-    below = make_layers(rows, np.abs(dot(shading_normal, view))).below
+    coat_normal = np.where(has_smooth_coat_normal(rows)[:, None], smooth_normal, shading_normal)
+    below = make_layers(rows, np.abs(dot(shading_normal, view)), np.abs(dot(coat_normal, view))).below
     emission = column(rows, "emission") * below * (opacity * weight)[:, None]
     light_emission = column(scene.materials[material], "light_emission")
     # Of a mix of lamps that paths aim at: all of it, always.
