@@ -88,6 +88,7 @@ class Worker:
         self._condition = threading.Condition()
         self._request: Request | None = None
         self._rendering: Request | None = None  # at this moment
+        self._tracing = False  # it is not being denoised yet
         self._measuring = False  # asked to, and not done yet
         self._stopping = False
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
@@ -104,11 +105,11 @@ class Worker:
 
     def submit(self, request: Request) -> None:
         """Takes the place of the last request. A frame that is being rendered is finished first, unless it takes more
-        than twice as long: then a coarser picture is wanted at once.
+        than twice as long: then a coarser picture is wanted at once. While it is traced that costs no history.
         """
         with self._condition:
             self._request = request
-            if self._rendering is not None and _pixels(self._rendering) > 2 * _pixels(request):
+            if self._tracing and self._rendering is not None and _pixels(self._rendering) > 2 * _pixels(request):
                 self._interrupt()
             if not self._stopping and not self._thread.is_alive():
                 self._thread.start()
@@ -218,7 +219,8 @@ class Worker:
             reason = restart_reason(request.scene, self._done.scene)
             if reason:
                 renderer.reset(reason)
-        frame = renderer.render(scene)
+        self._tracing = True
+        frame = renderer.render(scene, self._note_progress)
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
@@ -239,6 +241,9 @@ class Worker:
             history=history,
             device=renderer.device.description,
         )
+
+    def _note_progress(self, share: float) -> None:
+        self._tracing = share < 1.0
 
     def _prepare(self, request: Request) -> Renderer:
         """The renderer of a request, a new one where the settings or the device are others."""

@@ -183,7 +183,7 @@ def test_cpu_that_fails_is_an_error(scene):
 def test_closing_interrupts_the_frame(worker, scene, monkeypatch):
     stopped, started = threading.Event(), threading.Event()
 
-    def endless(self, scene):
+    def endless(self, scene, *arguments):
         started.set()
         assert stopped.wait(10)
         raise Interrupted("Stopped.")
@@ -210,12 +210,12 @@ def test_requests_are_not_queued(worker, scene):
 def test_coarser_picture_interrupts_the_frame(worker, scene, monkeypatch):
     render, started, stopped = module.Renderer.render, threading.Event(), threading.Event()
 
-    def slow(self, scene):
+    def slow(self, scene, *arguments):
         if scene.defaults.width == 24 and not stopped.is_set():
             started.set()
             assert stopped.wait(10)
             raise Interrupted("Stopped.")
-        return render(self, scene)
+        return render(self, scene, *arguments)
 
     monkeypatch.setattr(module.Renderer, "render", slow)
     monkeypatch.setattr(module.Renderer, "interrupt", lambda self: stopped.set())
