@@ -135,7 +135,10 @@ def varied_scenes() -> dict[str, Scene]:
     glow = Material("glow", emission=(2.0, 1.0, 0.5), base_color=(0.1, 0.1, 0.1))
     mix = Material("mix", kind=MaterialKind.MIX, first=2, second=3, factor=0.3)
     lit_coat = dataclasses.replace(COAT, emission=(1.0, 0.7, 0.4), coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
+    mirror = material_scene(Material("mirror", metallic=1.0, roughness=0.1), textures=[noise_texture()])
+    backdrop = dataclasses.replace(mirror.world, backdrop_radiance=(0.9, 0.8, 0.2), backdrop_environment=0)
     return {
+        "backdrop": dataclasses.replace(mirror, world=backdrop),
         "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),
         "bumpy_tangents": with_tangents(material_scene(plastic, textures=[normal_texture()], layers=2), 1),

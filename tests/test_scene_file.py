@@ -111,7 +111,7 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
             Light("Sun", LightKind.SUN, (3.0, 2.9, 2.8), IDENTITY.copy(), (0.01, 0.0)),
             Light("Spot", LightKind.SPOT, (100.0, 0.0, 0.0), IDENTITY + 0.0, (0.1, 0.0), 0.5, 0.9),
         ),
-        world=World((0.05, 0.06, 0.07)),
+        world=World((0.05, 0.06, 0.07), backdrop_radiance=(0.1, 0.2, 0.3)),
         frame=frame,
         cut=True,
         name="toys",
