@@ -17,7 +17,7 @@ from .ui.passes import unsupported_passes, wanted_passes
 from .viewport import views
 
 _POLL_SECONDS = 0.02  # between looks for Esc
-_STOP_SECONDS = 0.2  # for a frame to end after it; while a tree is built, nothing can stop it
+_STOP_SECONDS = 0.05  # for a frame to end after it; while a tree is built, nothing can stop it
 _KINDS = {"RGBA": "COLOR", "RGB": "COLOR", "XYZ": "VECTOR", "XYZW": "VECTOR"}  # of a pass by its channels
 
 

@@ -88,6 +88,16 @@ def normal_texture(size: int = 16) -> Texture:
     return Texture("bumps", values, False)
 
 
+def with_tangents(scene: Scene, layer: int) -> Scene:
+    """The ball with tangents of its own, which are not those of its UVs, a few of them missing."""
+    floor, ball = scene.meshes
+    random = np.random.default_rng(6)
+    tangents = random.normal(size=(len(ball.triangles), 3, 4)).astype(np.float32)
+    tangents[..., 3] = np.sign(tangents[:, :1, 3])
+    tangents[:20, :, :3] = 0
+    return dataclasses.replace(scene, meshes=(floor, dataclasses.replace(ball, tangents=tangents, tangent_layer=layer)))
+
+
 def curtain(planes: int, material: Material, emission: float = 1.0, size: float = 4.0) -> Scene:
     """Planes of a material one behind the other, before a wall that shines evenly and under a sun."""
     wall = Material("wall", kind=MaterialKind.DIFFUSE, base_color=(0.0, 0.0, 0.0), emission=(emission,) * 3)
@@ -125,9 +135,28 @@ def varied_scenes() -> dict[str, Scene]:
     glow = Material("glow", emission=(2.0, 1.0, 0.5), base_color=(0.1, 0.1, 0.1))
     mix = Material("mix", kind=MaterialKind.MIX, first=2, second=3, factor=0.3)
     lit_coat = dataclasses.replace(COAT, emission=(1.0, 0.7, 0.4), coat_tint=(0.9, 0.5, 0.3), sheen_weight=0.5)
+    mirror = material_scene(Material("mirror", metallic=1.0, roughness=0.1), textures=[noise_texture()])
+    backdrop = dataclasses.replace(mirror.world, backdrop_radiance=(0.9, 0.8, 0.2), backdrop_environment=0)
     return {
+        "backdrop": dataclasses.replace(mirror, world=backdrop),
         "lit_coat": material_scene(lit_coat),
         "bumpy": material_scene(plastic, textures=[normal_texture()], layers=2),
+        "bumpy_tangents": with_tangents(material_scene(plastic, textures=[normal_texture()], layers=2), 1),
+        "bumpy_other_tangents": with_tangents(material_scene(matte, textures=[normal_texture()], layers=2), 0),
+        "brushed_tangents": with_tangents(
+            material_scene(Material("brushed", metallic=1.0, anisotropic=0.8, tangent_uv_layer=0)), 0
+        ),
+        "bumpy_below_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, roughness=0.4), textures=[normal_texture()], layers=2
+        ),
+        "bumpy_below_smooth_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, coat_roughness=0.0, emission=(0.2, 0.1, 0.1)),
+            textures=[normal_texture()],
+            layers=2,
+        ),
+        "bumpy_coat": material_scene(
+            dataclasses.replace(COAT, maps=bumpy, coat_normal_mapped=True), textures=[normal_texture()], layers=2
+        ),
         "bumpy_matte": material_scene(matte, textures=[normal_texture()], layers=2),
         "mapped": material_scene(mapped, textures=[noise_texture(), noise_texture(4, low=1.0, high=2.0)], layers=2),
         "mix": material_scene(mix, glass, red),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svgf.reference import bsdf as reference
-from svgf.scene import Material, MaterialKind
+from svgf.scene import Material, MaterialKind, TextureMap
 
 from .bsdf_cases import make, repeat, sphere_grid
 from .material_cases import SINGLE, smooth
@@ -23,6 +23,9 @@ SMOOTH = [
     MIRROR, GLASS, dataclasses.replace(COAT, roughness=0.0), dataclasses.replace(MIXED, roughness=0.01),
     *(smooth(material) for material in SINGLE if material.name in ("all", "tinted coat", "refraction", "thin glass")),
 ]  # fmt: skip
+BUMPY = dataclasses.replace(
+    COAT, coat_weight=1.0, coat_roughness=0.3, metallic=0.3, sheen_weight=0.2, maps={"normal": TextureMap(0)}
+)
 ERROR_RATE = 1e-5  # of each of a few hundred tests
 SEEN_THROUGH = (MaterialKind.GLASS, MaterialKind.REFRACTION, MaterialKind.TRANSLUCENT)
 # Material, angle of the viewer in degrees, and whether from outside: what nothing passes is the same from inside.
@@ -59,8 +62,11 @@ def seen(degrees: float, outside: bool) -> np.ndarray:
 
 @pytest.mark.parametrize(("material", "degrees", "outside"), VIEWS)
 def test_directions_follow_their_density(material, degrees, outside):
+    assert_density(make(material, seen(degrees, outside)))
+
+
+def assert_density(bsdf: reference.Bsdf) -> None:
     count, rows, columns, fine = 40_000, 24, 24, 20
-    bsdf = make(material, seen(degrees, outside))
     sample = draw(bsdf, count)
     found = sample.pdf > 0
     light = sample.direction[found]
@@ -79,13 +85,28 @@ def test_directions_follow_their_density(material, degrees, outside):
 @pytest.mark.parametrize(("material", "degrees", "outside"), VIEWS)
 def test_sampling_gives_the_integral(material, degrees, outside):
     """Means of the weights against quadrature of the values, so neither value nor density can be off by a factor."""
-    bsdf = make(material, seen(degrees, outside))
+    assert_integral(make(material, seen(degrees, outside)))
+
+
+def assert_integral(bsdf: reference.Bsdf) -> None:
     sample = draw(bsdf, 40_000, seed=1)
     directions, solid_angle = sphere_grid(500, 500)
     diffuse, specular, _ = reference.evaluate(repeat(bsdf, len(directions)), directions)
     for channel in range(3):
         values = (diffuse + specular)[:, channel]
         assert_mean((sample.diffuse + sample.specular)[:, channel], values @ solid_angle, ERROR_RATE, rounding=2e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 45.0, 80.0])
+def test_smooth_coat_over_a_normal_map(degrees):
+    """A lobe of a normal of its own, 30 degrees from that of the others."""
+    bsdf = make(BUMPY, direction(degrees), normal=(0.5, 0, np.sqrt(0.75)), smooth_normal=np.array([[0.0, 0.0, 1.0]]))
+    assert bsdf.tilted_coat.all() and (bsdf.coat_normal != bsdf.normal).any()
+    assert_density(bsdf)
+    assert_integral(bsdf)
+    mapped = dataclasses.replace(BUMPY, coat_normal_mapped=True)
+    follows = make(mapped, direction(degrees), normal=bsdf.normal[0], smooth_normal=np.array([[0.0, 0.0, 1.0]]))
+    assert not follows.tilted_coat.any() and (follows.coat_normal == follows.normal).all()
 
 
 def test_lambert_density_is_whole():

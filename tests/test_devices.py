@@ -8,13 +8,14 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from svgf.devices import NAMES, available_devices, open_device
 from svgf.errors import DeviceError, InputError, Interrupted, OutOfMemory
-from svgf.renderer import Renderer
+from svgf.renderer import SAMPLES_PER_LAUNCH, Renderer
 from svgf.settings import Settings
 
 from . import scenes
@@ -129,6 +130,17 @@ def test_frame_after_an_interrupted_one_starts_without_history(device):
     frame = renderer.render(scene)
     assert frame.reset == "the last frame was not finished"
     assert frame.history_length.max() == 1
+
+
+def test_frame_after_one_that_was_interrupted_while_it_was_traced_goes_on(device):
+    """The denoiser has not touched its history by then."""
+    renderer = Renderer(replace(SMALL, samples=2 * SAMPLES_PER_LAUNCH), device)
+    scene = scenes.box_scene()
+    renderer.render(scene)
+    with pytest.raises(Interrupted):
+        renderer.render(replace(scene, frame=scene.frame + 1), progress=lambda _share: renderer.interrupt())
+    frame = renderer.render(replace(scene, frame=scene.frame + 1))
+    assert frame.reset == "" and frame.history_length.max() == 2
 
 
 @pytest.mark.gpu

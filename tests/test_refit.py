@@ -10,6 +10,7 @@ import pytest
 from svgf.bench import generated
 from svgf.flatten import flatten
 from svgf.renderer import SceneUploader
+from svgf.scene import Texture, TextureMap
 
 SIZE = (48, 27)
 
@@ -77,6 +78,28 @@ def test_normals_follow(device):
         np.testing.assert_array_equal(images[name], image, err_msg=name)
 
 
+def test_tangents_follow(device):
+    def with_tangents(frame):
+        scene = generated.room(6, frame, SIZE)
+        random, shape = np.random.default_rng(frame), scene.meshes[0].normals.shape[:2]
+        uvs = np.random.default_rng(0).random((*shape, 2), np.float32)
+        tangents = random.normal(size=(*shape, 4)).astype(np.float32)
+        tangents[:5] = np.nan
+        bumps = Texture("bumps", np.random.default_rng(1).random((4, 4, 4), np.float32), False)
+        mapped = tuple(dataclasses.replace(each, maps={"normal": TextureMap(0)}) for each in scene.materials)
+        scene = dataclasses.replace(scene, materials=mapped, textures=(bumps,))
+        return changed(scene, uvs=uvs, tangents=tangents)
+
+    animation = Animation(device)
+    _, first = animation.show(with_tangents(1))
+    refitted, images = animation.show(with_tangents(2))
+    assert refitted
+    for name, image in fresh(device, with_tangents(2)).items():
+        np.testing.assert_array_equal(images[name], image, err_msg=name)
+    without = changed(with_tangents(2), tangents=None)
+    assert (fresh(device, without)["normal"] != images["normal"]).any()
+
+
 def broken_vertex(scene):
     positions = scene.meshes[0].positions.copy()
     positions[7] = np.nan
@@ -100,7 +123,11 @@ def first_normals(scene):
     return changed(scene, normals=np.ones_like(scene.meshes[0].normals))
 
 
-@pytest.mark.parametrize("change", [broken_vertex, scrambled, far_away, other_triangles, first_normals])
+def first_tangents(scene):
+    return changed(scene, tangents=np.ones((*scene.meshes[0].normals.shape[:2], 4), np.float32))
+
+
+@pytest.mark.parametrize("change", [broken_vertex, scrambled, far_away, other_triangles, first_normals, first_tangents])
 def test_where_refitting_does_not_do_there_is_a_new_tree(device, change):
     animation = Animation(device)
     animation.show(generated.room(6, 1, SIZE))

@@ -69,6 +69,8 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
                 6,
                 uvs=random.random((2, 6, 3, 2), np.float32),
                 previous_positions=random.random((5, 3), np.float32),
+                tangents=random.random((6, 3, 4), np.float32),
+                tangent_layer=1,
             ),
         ),
         instances=Instances(
@@ -109,7 +111,7 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
             Light("Sun", LightKind.SUN, (3.0, 2.9, 2.8), IDENTITY.copy(), (0.01, 0.0)),
             Light("Spot", LightKind.SPOT, (100.0, 0.0, 0.0), IDENTITY + 0.0, (0.1, 0.0), 0.5, 0.9),
         ),
-        world=World((0.05, 0.06, 0.07)),
+        world=World((0.05, 0.06, 0.07), backdrop_radiance=(0.1, 0.2, 0.3)),
         frame=frame,
         cut=True,
         name="toys",

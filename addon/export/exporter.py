@@ -19,6 +19,7 @@ from .findings import Finding, Findings
 from .instances import Key, Layout, collect, moved_matrices, object_ids
 from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
+from .tangents import TangentCache, add_tangents
 from .textures import TextureCache
 from .uv_maps import find_uv_layers
 from .world import export_world
@@ -87,6 +88,7 @@ class Exporter:
         self.findings: tuple[Finding, ...] = ()  # of the last call
         self.should_stop: Callable[[], bool] = never
         self._meshes = MeshCache()
+        self._tangents = TangentCache()
         self._textures = TextureCache()
         self._materials = MaterialCache()
         self._last: _Snapshot | None = None
@@ -193,14 +195,19 @@ class Exporter:
         materials = MaterialTable(self._textures, self._materials, findings, layers)
         self._meshes.start_frame(self.should_stop, changed, layers.names)
         placements = collect(depsgraph, self._meshes, materials, findings, space)
-        materials.read(placements.uv_use())
+        use = placements.uv_use()
+        materials.read(use)
+        meshes = add_tangents(placements.meshes, materials.mesh_tangents(use), self._tangents)
         world = getattr(view_layer, "world_override", None) or scene.world
         waits = waits or bpy.app.background
-        world, sky = export_world(world, self._textures, findings, self.should_stop if waits else None)
-        textures = list(materials.textures)
-        if sky is not None:
-            world = replace(world, environment=len(textures))
-            textures.append(sky)
+        world, pictures = export_world(world, self._textures, findings, self.should_stop if waits else None)
+        first = len(materials.textures)
+        world = replace(
+            world,
+            environment=world.environment + first if world.environment >= 0 else -1,
+            backdrop_environment=world.backdrop_environment + first if world.backdrop_environment >= 0 else -1,
+        )
+        textures = [*materials.textures, *pictures]
         keys = {key: row for row, key in enumerate(placements.keys)}
         self._last = _Snapshot(
             frame=scene.frame_current,
@@ -210,7 +217,7 @@ class Exporter:
             object_id=last.object_id if last and keys == last.keys else object_ids(keys),
             layout=placements.layout,
             matrices=placements.matrices,
-            meshes=_keep_all(placements.meshes, last and last.meshes),
+            meshes=_keep_all(meshes, last and last.meshes),
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
             visibility=np.array(placements.visibility, np.uint8),

@@ -55,6 +55,13 @@ class InputReader:
         self._values = values
         self._name = name
         self._find = find
+        self.tangent_layers: set[int] = set()  # UV layers that a mesh needs tangents of
+
+    def layer(self, uv_map: str) -> int:
+        """Of tangents."""
+        layer = self._context.layers.index(uv_map)
+        self.tangent_layers.add(layer)
+        return layer
 
     def value(self, place: Place) -> Expression:
         return self._values.read(place)
@@ -109,6 +116,7 @@ class InputReader:
             if normal.color.function is sample_color:
                 texture_map = self._direct(normal.color, 0)
                 if texture_map is not None:
+                    self.tangent_layers.add(texture_map.uv_layer)
                     return max(normal.strength.number(), 0.0), texture_map
         parts = list(baking.parts_of(normal))
         if not any(part.coordinates for part in parts) and isinstance(normal, baking.Bump):
@@ -117,6 +125,8 @@ class InputReader:
         if uv_map is None:
             return 1.0, None
         layer = self._context.layers.index(uv_map)
+        if isinstance(normal, baking.NormalMap):  # bumps are baked for the triangles' own
+            self.tangent_layers.add(layer)
         domain = baking.domain_of(parts, self._context.use.bounds(layer), uv_map)
         metres = self._context.use.metres(layer)
         texture = baking.bake_normal(f"{self._name} Normal", normal, domain, metres)

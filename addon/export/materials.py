@@ -23,11 +23,12 @@ from .uv_maps import MaterialUse, UvLayers, UvUse
 class _Reading:
     """What was read of one material. Its maps have numbers of its own textures.
 
-    layers, use: what else it depends on.
+    tangent_layers: UV layers that meshes need tangents of. layers, use: what else it depends on.
     """
 
     surface: Surface
     textures: list[Texture]
+    tangent_layers: tuple[int, ...]
     findings: Findings
     layers: UvLayers
     use: MaterialUse
@@ -50,10 +51,12 @@ class MaterialTable:
     """Numbers the materials of one frame in the order in which they are met, then reads them.
 
     materials: records. The first are those that were numbered, the others what they are mixed of.
+    tangent_layers: of those that were numbered, in order.
     """
 
     def __init__(self, textures: TextureCache, cache: MaterialCache, findings: Findings, layers: UvLayers) -> None:
         self.materials: list[Material] = []
+        self.tangent_layers: list[tuple[int, ...]] = []
         self._textures = TextureTable()
         self._images = textures
         self._cache = cache
@@ -76,6 +79,7 @@ class MaterialTable:
 
     def read(self, use: UvUse) -> None:
         """Reads all that were numbered. use: what meshes do with their UVs, which textures are baked for."""
+        self.tangent_layers[:] = [()] * len(self._sources)
         surfaces = [
             Surface(Material()) if source is None else self._read(source, MaterialUse(use, index))
             for index, source in enumerate(self._sources)
@@ -84,6 +88,19 @@ class MaterialTable:
         for index, surface in enumerate(surfaces):
             self._place(surface, index)
 
+    def mesh_tangents(self, use: UvUse) -> dict[int, int]:
+        """Of which UV layer each mesh, by index, needs tangents. Of several the first; the others are named."""
+        wanted: dict[int, int] = {}
+        for material, layers in enumerate(self.tangent_layers):
+            for mesh in use.meshes_of(material) if layers else ():
+                if any(layer != wanted.setdefault(mesh, layers[0]) for layer in layers):
+                    self._findings.add(
+                        self._sources[material],
+                        "normal maps on several UV maps of one mesh are not supported yet; all but one have the "
+                        "tangents of triangles.",
+                    )
+        return wanted
+
     def _read(self, material: bpy.types.Material, use: MaterialUse) -> Surface:
         name = material.name_full
         reading = self._cache.readings.get(name)
@@ -91,10 +108,11 @@ class MaterialTable:
             self._cache.reads += 1
             context = Context(self._images, TextureTable(), self._layers, use)
             findings = Findings()
-            surface = _surface(material, context, findings)
+            surface, tangent_layers = _surface(material, context, findings)
             surface = replace(surface, material=replace(surface.material, name=material.name))
-            reading = _Reading(surface, context.table.textures, findings, self._layers, use)
+            reading = _Reading(surface, context.table.textures, tangent_layers, findings, self._layers, use)
             self._cache.readings[name] = reading
+        self.tangent_layers[use.index] = reading.tangent_layers
         self._findings.extend(reading.findings)
         return self._numbered(reading.surface, [self._textures.index(texture) for texture in reading.textures])
 
@@ -116,23 +134,27 @@ class MaterialTable:
         self.materials[index] = replace(surface.material, first=numbers[0], second=numbers[1])
 
 
-def _surface(material: bpy.types.Material, context: Context, findings: Findings) -> Surface:
+def _surface(
+    material: bpy.types.Material, context: Context, findings: Findings
+) -> tuple[Surface, tuple[int, ...]]:
+    """With the UV layers that it needs tangents of."""
+
     def find(text: str) -> None:
         findings.add(material, text)
 
     if not has_nodes(material):
         color = tuple(min(max(part, 0.0), 1.0) for part in material.diffuse_color[:3])
-        return Surface(Material(kind=MaterialKind.DIFFUSE, base_color=color))
+        return Surface(Material(kind=MaterialKind.DIFFUSE, base_color=color)), ()
     output = material.node_tree.get_output_node("CYCLES")
     if output is None:
-        return Surface(BLACK)
+        return Surface(BLACK), ()
     if trace(find_input(output, "Volume")).is_output:
         find("volumes are not supported yet; the inside is empty.")
     values = ValueReader(context.cache, find, findings.add, context.layers.known)
     inputs = InputReader(context, values, material.name, find)
     displacement = _displacement(material, find_input(output, "Displacement"), inputs, find)
-    reader = SurfaceReader(inputs, find, context.layers.index, displacement)
-    return reader.read(find_input(output, "Surface"))
+    surface = SurfaceReader(inputs, find, displacement).read(find_input(output, "Surface"))
+    return surface, tuple(sorted(inputs.tangent_layers))
 
 
 def _displacement(material: bpy.types.Material, start: Place, inputs: InputReader, find) -> baking.Bump | None:

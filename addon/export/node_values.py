@@ -21,6 +21,8 @@ from .textures import Find, FindImage, TextureCache
 UV = "uv:"
 # Of a point of the world, from the camera.
 DIRECTION = "direction"
+# Of the world, 1 in all components for rays of the camera, else 0.
+CAMERA_RAY = "camera ray"
 
 _MAGENTA = (1.0, 0.0, 1.0)
 _GREY = (0.5, 0.5, 0.5)
@@ -222,6 +224,12 @@ def _geometry(node: _Node) -> Expression | None:
     if node.output == "Incoming":
         return apply(_negated, coordinate(DIRECTION))
     return None
+
+
+def _light_path(node: _Node) -> Expression | None:
+    if not node.reader.is_world or node.output != "Is Camera Ray":
+        return None
+    return apply(component, coordinate(CAMERA_RAY), index=0)
 
 
 def _value(node: _Node) -> Expression:
@@ -464,6 +472,7 @@ _BUILDERS: dict[str, Callable[[_Node], Expression | None]] = {
     "GAMMA": _simple(color.gamma, 0, 1),
     "HUE_SAT": _simple(color.hue_saturation, "Hue", "Saturation", "Value", "Fac", "Color"),
     "INVERT": _simple(color.invert, 0, 1),
+    "LIGHT_PATH": _light_path,
     "MAPPING": lambda node: apply(arithmetic.mapping, *node.inputs(0, 1, 2, 3), kind=node.rna.vector_type),
     "MAP_RANGE": _map_range,
     "MATH": _math,

@@ -76,13 +76,11 @@ class SurfaceReader:
         self,
         inputs: InputReader,
         find: Callable[[str], None],
-        layer_of: Callable[[str], int],
         displacement: baking.Bump | None,
     ) -> None:
-        """layer_of: UV layer of a map. displacement: what bends the normals of the whole material."""
+        """displacement: what bends the normals of the whole material."""
         self._inputs = inputs
         self._find = find
-        self._layer_of = layer_of
         self._displacement = displacement
         self._above: list[tuple] = []
         self._readers: dict[str, Callable[[Place], Surface]] = {
@@ -128,8 +126,7 @@ class SurfaceReader:
         if fields.may_have("coat_weight"):
             self._numbers(fields, node, _COAT)
             self._colors(fields, node, coat_tint="Coat Tint")
-            if trace(node.input("Coat Normal")).is_output:
-                self._find("a normal of the coat's own is not supported yet; it has that of the surface below.")
+            self._coat_normal(fields, node)
         self._numbers(fields, node, {"sheen_weight": ("Sheen Weight", 0.0, 1.0)})
         if fields.may_have("sheen_weight"):
             self._numbers(fields, node, _SHEEN)
@@ -276,7 +273,7 @@ class SurfaceReader:
         if not driver.is_output:
             return
         if driver.node.type == "TANGENT" and driver.node.direction_type == "UV_MAP":
-            fields.values["tangent_uv_layer"] = self._layer_of(driver.node.uv_map)
+            fields.values["tangent_uv_layer"] = self._inputs.layer(driver.node.uv_map)
         elif driver.node.type != "TANGENT" or driver.node.axis != "Z":
             self._find(f"tangents of {describe(driver.node)} are not supported yet; they circle around the Z axis.")
 
@@ -301,6 +298,13 @@ class SurfaceReader:
         if texture_map is not None:
             fields.maps["normal"] = texture_map
             fields.values["normal_strength"] = strength
+
+    def _coat_normal(self, fields: _Fields, node: Place) -> None:
+        """Without a link the coat is smooth, but for what displaces the whole surface."""
+        coat, base = trace(node.input("Coat Normal")), trace(node.input("Normal"))
+        if coat.is_output and (not base.is_output or coat.key != base.key):
+            self._find("a normal map of the coat's own is not supported yet; it has that of the surface below.")
+        fields.values["coat_normal_mapped"] = coat.is_output or (self._displacement is not None and not base.is_output)
 
     def _constant(self, place: Place):
         """A constant of a node that no texture can drive."""

@@ -112,6 +112,10 @@ class UvUse:
             return 1.0, 1.0
         return tuple(float(f"{length:.4g}") for length in np.average(lengths, axis=0, weights=weights))
 
+    def meshes_of(self, material: int) -> set[int]:
+        """Indices."""
+        return {mesh for mesh, _ in self._slots.get(material, ())}
+
     def without_uvs(self, material: int) -> list[str]:
         """Names of meshes."""
         meshes = (self._meshes[mesh] for mesh, _ in self._slots.get(material, ()))
@@ -129,8 +133,8 @@ class MaterialUse:
     """What one material asked of the UvUse of its frame, to know later whether the answers are still the same."""
 
     def __init__(self, use: UvUse, index: int) -> None:
+        self.index = index
         self._use = use
-        self._index = index
         self._answers: dict[tuple, object] = {}
 
     def bounds(self, layer: int) -> np.ndarray:
@@ -150,7 +154,7 @@ class MaterialUse:
         )
 
     def _ask(self, question: Callable, *arguments: int) -> Any:
-        answer = self._answers[question, *arguments] = question(self._use, self._index, *arguments)
+        answer = self._answers[question, *arguments] = question(self._use, self.index, *arguments)
         return answer
 
 

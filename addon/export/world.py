@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world: a colour, or an image of what its node tree shows in each direction."""
+"""The world: a colour, or an image of what its node tree shows in each direction; and another where the camera sees
+something else than what lights the scene."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import bpy
@@ -14,7 +16,7 @@ from svgf.scene import Extension, Texture, World
 from .evaluation import images
 from .evaluation.expression import Expression, apply, constant, coordinate, evaluate, walk
 from .findings import Findings
-from .node_values import DIRECTION, ValueReader
+from .node_values import CAMERA_RAY, DIRECTION, ValueReader
 from .nodes import Place, describe, find_input, has_nodes, trace
 from .sky import sky_image
 from .textures import TextureCache
@@ -25,7 +27,7 @@ _PLAIN_WIDTH, _LARGEST_WIDTH = 1024, 4096
 # Images are kept for as many worlds as a user may go back and forth between.
 _KEPT = 4
 
-_baked: OrderedDict[tuple[bytes, int], Texture] = OrderedDict()
+_baked: OrderedDict[tuple[bytes, int, bytes], Texture] = OrderedDict()
 
 
 def export_world(
@@ -33,24 +35,24 @@ def export_world(
     textures: TextureCache,
     findings: Findings,
     should_stop: Callable[[], bool] | None,
-) -> tuple[World, Texture | None]:
-    """The world and its image, whose number the caller gives it. No world, or one without a surface, is black.
+) -> tuple[World, tuple[Texture, ...]]:
+    """The world and the images that it has the indices of. No world, or one without a surface, is black.
 
     should_stop: see ``sky_image``.
     """
     if world is None:
-        return World(), None
+        return World(), ()
     _find_unsupported(world, findings)
     visibility = World.visibility
     if hasattr(world, "cycles_visibility"):
         visibility = ray_visibility(world.cycles_visibility, "")
     if not has_nodes(world):
-        return World(_color(world.color), visibility=visibility), None
+        return World(_color(world.color), visibility=visibility), ()
     output = world.node_tree.get_output_node("CYCLES")
     start = output and find_input(output, "Surface")
     surface = start and trace(start)
     if surface is None or not surface.is_output:
-        return World(), None
+        return World(), ()
     reader = ValueReader(
         textures,
         lambda text: findings.add(world, text),
@@ -59,11 +61,36 @@ def export_world(
         sky=partial(sky_image, should_stop=should_stop),
     )
     radiance = _radiance(surface, reader, world, findings)
+    lighting = _for_rays(radiance, of_camera=False)
+    backdrop = _for_rays(radiance, of_camera=True)
+    rotation, _ = _without_rotation(backdrop if lighting.value is not None else lighting)
+    color, image = _picture(world.name, lighting, rotation)
+    pictures = [] if image is None else [image]
+    found = World(color, len(pictures) - 1, tuple(rotation.ravel().tolist()), visibility)
+    if backdrop is not lighting:
+        color, image = _picture(f"{world.name} backdrop", backdrop, rotation)
+        found = replace(found, backdrop_radiance=color, backdrop_environment=-1 if image is None else len(pictures))
+        pictures += [] if image is None else [image]
+    return found, tuple(pictures)
+
+
+def _for_rays(radiance: Expression, of_camera: bool) -> Expression:
+    if CAMERA_RAY not in radiance.coordinates:
+        return radiance
+    answer = constant((float(of_camera),) * 3)
+    return _replaced(radiance, lambda member: member.settings.get("name") == CAMERA_RAY, answer)
+
+
+def _picture(
+    name: str, radiance: Expression, rotation: np.ndarray
+) -> tuple[tuple[float, float, float], Texture | None]:
+    """Colour and image of a world whose images are read at directions that are turned before."""
     if radiance.value is not None:
-        return World(_color(radiance.vector()), visibility=visibility), None
-    rotation, radiance = _without_rotation(radiance)
-    world_to_environment = tuple(rotation.ravel().tolist())
-    return World((1.0, 1.0, 1.0), 0, world_to_environment, visibility), _bake(world.name, radiance)
+        return _color(radiance.vector()), None
+    own, turned = _without_rotation(radiance)
+    if np.allclose(own, rotation, atol=1e-6):
+        return (1.0, 1.0, 1.0), _bake(name, turned, np.eye(3))
+    return (1.0, 1.0, 1.0), _bake(name, radiance, rotation)
 
 
 def _color(color) -> tuple[float, float, float]:
@@ -83,7 +110,7 @@ def _radiance(shader: Place, reader: ValueReader, world: bpy.types.World, findin
     if node.type == "ADD_SHADER":
         return apply(_sum, part(shader.input(0)), part(shader.input(1)))
     if node.type == "MIX_SHADER":
-        return apply(_mix, reader.read(shader.input(0)), part(shader.input(1)), part(shader.input(2)))
+        return _mixed(reader.read(shader.input(0)), part(shader.input(1)), part(shader.input(2)))
     findings.add(world, f"{describe(node)} is not supported yet; it is black instead.")
     return constant((0.0,) * 3)
 
@@ -94,6 +121,13 @@ def _scaled(color: np.ndarray, strength: np.ndarray) -> np.ndarray:
 
 def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return first + second
+
+
+def _mixed(factor: Expression, first: Expression, second: Expression) -> Expression:
+    """Without what has no share in it."""
+    if factor.value is not None and factor.number() in (0.0, 1.0):
+        return second if factor.number() else first
+    return apply(_mix, factor, first, second)
 
 
 def _mix(factor: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -111,7 +145,7 @@ def _without_rotation(radiance: Expression) -> tuple[np.ndarray, Expression]:
         return identity, radiance
     turned = places[0]
     # Nothing else may depend on the direction.
-    replaced = _replaced(radiance, turned, coordinate(_TURNED))
+    replaced = _replaced(radiance, lambda member: member is turned, coordinate(_TURNED))
     if DIRECTION in replaced.coordinates:
         return identity, radiance
     points = np.random.default_rng(0).normal(size=(8, 3)).astype(np.float32)
@@ -122,33 +156,40 @@ def _without_rotation(radiance: Expression) -> tuple[np.ndarray, Expression]:
     is_rotation = scale > 0 and np.allclose(matrix @ matrix.T, identity * scale**2, atol=1e-4 * scale**2)
     if not is_rotation or not np.allclose(images_of_points, points @ matrix.T, atol=1e-4 * scale):
         return identity, radiance
-    return matrix / scale, _replaced(radiance, turned, coordinate(DIRECTION))
+    return matrix / scale, _replaced(radiance, lambda member: member is turned, coordinate(DIRECTION))
 
 
 _TURNED = "turned direction"
 
 
-def _replaced(member: Expression, old: Expression, new: Expression, known: dict[int, Expression] | None = None):
-    """The same graph with another member in place of one."""
+def _replaced(
+    member: Expression,
+    is_old: Callable[[Expression], bool],
+    new: Expression,
+    known: dict[int, Expression] | None = None,
+) -> Expression:
+    """The same graph with another member in place of some."""
     known = {} if known is None else known
-    if member is old:
+    if is_old(member):
         return new
     if member.value is not None or not member.inputs:
         return member
     if id(member) not in known:
-        inputs = (_replaced(part, old, new, known) for part in member.inputs)
-        known[id(member)] = apply(member.function, *inputs, **member.settings)
+        inputs = (_replaced(part, is_old, new, known) for part in member.inputs)
+        build = _mixed if member.function is _mix else partial(apply, member.function)
+        known[id(member)] = build(*inputs, **member.settings)
     return known[id(member)]
 
 
-def _bake(name: str, radiance: Expression) -> Texture:
-    """An equirectangular image, float32, of the size of the images that it is made from."""
+def _bake(name: str, radiance: Expression, rotation: np.ndarray) -> Texture:
+    """An equirectangular image, float32, of the size of the images that it is made from. rotation: [3, 3], of
+    directions before they are looked up in it."""
     widths = [
         member.settings["image"].pixels.shape[1] for member in walk(radiance) if "image" in member.settings
     ]
     width = min(max(widths, default=_PLAIN_WIDTH), _LARGEST_WIDTH)
     width += width % 2
-    key = radiance.digest, width
+    key = radiance.digest, width, rotation.tobytes()
     if key in _baked:
         _baked.move_to_end(key)
         return _baked[key]
@@ -159,7 +200,8 @@ def _bake(name: str, radiance: Expression) -> Texture:
     direction = np.stack(
         [cosine * np.cos(azimuth), cosine * np.sin(azimuth), np.repeat(np.sin(elevation)[:, None], width, axis=1)], -1
     )
-    color = evaluate(radiance, {DIRECTION: direction.reshape(-1, 3).astype(np.float32)})
+    direction = direction.reshape(-1, 3) @ rotation  # back into the world
+    color = evaluate(radiance, {DIRECTION: direction.astype(np.float32)})
     pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = np.maximum(color, 0).reshape(height, width, 3)
     _baked[key] = Texture(name, pixels, srgb=False, extension=Extension.REPEAT)

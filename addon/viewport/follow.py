@@ -84,7 +84,7 @@ def _follow_meshes(scene: Scene, last: Scene, rows: np.ndarray) -> tuple[Mesh, .
     meshes = []
     for index, mesh in enumerate(scene.meshes):
         before = unchanged.get(id(mesh.positions))
-        if before is not None:
+        if before is not None and before.tangents is mesh.tangents:
             meshes.append(before if before.previous_positions is None else replace(before, previous_positions=None))
             continue
         row = owners.get(index, -1)

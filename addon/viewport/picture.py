@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from svgf.diagnostics import ResetReason
 from svgf.frame import Frame
 
 _ROWS = 64  # that are painted at once
@@ -19,14 +19,21 @@ _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
 _ERROR_RANGE_LOG10 = 2.0  # of the standard deviation, below radiance 1
 
-# Why a pixel has no history: colour in the overlay, and what it means.
+# Of the overlay: colour and what it is called in the overlay's description.
 RESET_COLORS = {
-    "restarted": ((0.15, 0.35, 0.9), "All history restarted with this frame"),
-    "entered": ((0.1, 0.7, 0.3), "It was outside of the picture in the frame before"),
-    "revealed": ((0.9, 0.2, 0.1), "It was hidden, or was another surface"),
-    "kept": ((0.18, 0.18, 0.18), "Its history goes on"),
+    ResetReason.KEPT: ((0.18, 0.18, 0.18), "grey has some"),
+    ResetReason.BACKGROUND: ((0.0, 0.0, 0.0), "black is background"),
+    ResetReason.RESTARTED: ((0.15, 0.35, 0.9), "blue all of it restarted"),
+    ResetReason.BAD_MOTION: ((1.0, 0.0, 0.6), "pink its motion is no number"),
+    ResetReason.OUTSIDE: ((0.1, 0.7, 0.3), "green entered the picture"),
+    ResetReason.OTHER_OBJECT: ((0.9, 0.2, 0.1), "red another object was there"),
+    ResetReason.OTHER_DEPTH: ((0.9, 0.55, 0.1), "orange something nearer or farther was there"),
+    ResetReason.OTHER_NORMAL: ((0.9, 0.9, 0.2), "yellow what was there faced elsewhere"),
+    ResetReason.LIGHT_CHANGED: ((0.9, 0.9, 0.9), "white the light on it changed"),
 }
+_RESET_COLORS = np.array([color for _, (color, _) in sorted(RESET_COLORS.items())], np.float32)
 _BAD_COLOR = (1.0, 0.0, 0.6)
+_MOTION_ERROR_RANGE_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -39,13 +46,15 @@ class Look:
 
 @dataclass(frozen=True)
 class Overlay:
-    """number: in Blender's files. is_data: shown as it is, without a view transform. image: [H, W] or [H, W, 3]."""
+    """number: in Blender's files. is_data: shown as it is, without a view transform. image: [H, W] or [H, W, 3].
+    diagnoses: whether it needs a frame with the images of ``svgf.diagnostics``."""
 
     label: str
     description: str
     number: int
     is_data: bool
     image: Callable[[Frame], np.ndarray]
+    diagnoses: bool = False
 
 
 def _depth(frame: Frame) -> np.ndarray:
@@ -77,34 +86,21 @@ def _noise(frame: Frame) -> np.ndarray:
 
 
 def _reset_reasons(frame: Frame) -> np.ndarray:
-    image = np.zeros((frame.height, frame.width, 3), np.float32)
-    surface = frame.object_id > 0
-    image[surface] = RESET_COLORS["kept"][0]
-    if frame.reset:
-        image[surface] = RESET_COLORS["restarted"][0]
-        return image
-    rows, columns = np.indices(surface.shape)
-    before_x, before_y = columns + frame.motion[..., 0], rows + frame.motion[..., 1]
-    inside = (before_x > -0.5) & (before_x < frame.width - 0.5) & (before_y > -0.5) & (before_y < frame.height - 0.5)
-    new = surface & (frame.history_length <= 1)
-    image[new & inside] = RESET_COLORS["revealed"][0]
-    image[new & ~inside] = RESET_COLORS["entered"][0]
-    return image
+    return _RESET_COLORS[frame.reset_reason.astype(np.intp)]
 
 
-def _bad_values(frame: Frame) -> np.ndarray:
-    """What the path tracer saw, dimmed, with values that no picture may hold in a colour of their own."""
-    bad = find_bad_values(frame)
+def _motion_error(frame: Frame) -> np.ndarray:
+    return frame.motion_error / _MOTION_ERROR_RANGE_PX
+
+
+def _repaired_values(frame: Frame) -> np.ndarray:
+    """What the path tracer saw, dimmed, with pixels whose inputs no picture may hold in a colour of their own."""
     grey = 0.1 * sum(_limited(channel, 1) for channel in _channels(frame.noisy))
-    return np.where(bad[..., None], np.float32(_BAD_COLOR), grey[..., None])
+    return np.where(frame.repaired_values[..., None] > 0, np.float32(_BAD_COLOR), grey[..., None])
 
 
-def find_bad_values(frame: Frame) -> np.ndarray:
-    """bool [H, W]: pixels with an input that is not finite, or with light less than none; the denoiser repairs them."""
-    # A sum is finite only where all of its terms are.
-    images = (frame.noisy, frame.albedo, frame.normal, frame.motion)
-    total = sum((channel for image in images for channel in _channels(image)), frame.depth)
-    return ~np.isfinite(total) | (functools.reduce(np.minimum, _channels(frame.noisy)) < 0)
+def _suppressed_light(frame: Frame) -> np.ndarray:
+    return frame.suppressed_light
 
 
 def _channels(image: np.ndarray) -> Iterator[np.ndarray]:
@@ -162,17 +158,35 @@ OVERLAYS = {
     ),
     "reset_reason": Overlay(
         "Reset Reason",
-        "Why pixels have no history: blue restarted, green entered the picture, red was revealed",
+        "Why pixels have no history: " + ", ".join(meaning for _, meaning in RESET_COLORS.values()),
         9,
         True,
         _reset_reasons,
+        diagnoses=True,
     ),
-    "bad_values": Overlay(
+    "repaired_values": Overlay(
         "NaN Map",
         "Pixels whose input was not a number, infinite or negative, and was repaired",
         10,
         True,
-        _bad_values,
+        _repaired_values,
+        diagnoses=True,
+    ),
+    "motion_error": Overlay(
+        "Motion Error",
+        "By how much the motion misses where the surface was: white is 2 pixels and more",
+        11,
+        True,
+        _motion_error,
+        diagnoses=True,
+    ),
+    "suppressed_light": Overlay(
+        "Suppressed Light",
+        "Light that the firefly limit cut from this frame's samples",
+        12,
+        False,
+        _suppressed_light,
+        diagnoses=True,
     ),
 }
 

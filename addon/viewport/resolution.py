@@ -13,7 +13,7 @@ _UNKNOWN = 4  # before the first frame has told what a pixel costs
 class Resolution:
     """By how much both sides of a view's picture are divided.
 
-    divisor: the last choice. It never falls while the view changes, because each new size starts without history.
+    divisor: the last choice. It never falls while the view changes, because each step blurs or thins the history.
     """
 
     def __init__(self) -> None:

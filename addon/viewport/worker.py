@@ -20,7 +20,7 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import Look, paint
+from .picture import OVERLAYS, Look, paint
 
 _JOIN_SECONDS = 0.02
 _STATISTICS_SECONDS = 0.25  # between readings of images that only panels show
@@ -88,6 +88,7 @@ class Worker:
         self._condition = threading.Condition()
         self._request: Request | None = None
         self._rendering: Request | None = None  # at this moment
+        self._tracing = False  # it is not being denoised yet
         self._measuring = False  # asked to, and not done yet
         self._stopping = False
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
@@ -103,12 +104,12 @@ class Worker:
         self._squares: np.ndarray | None = None  # [H, W] their luminance's sum of squared distances from it
 
     def submit(self, request: Request) -> None:
-        """Takes the place of the last request. A frame that is being rendered is finished first, for the sake of its
-        history, unless that is lost with its size.
+        """Takes the place of the last request. A frame that is being rendered is finished first, unless it takes more
+        than twice as long: then a coarser picture is wanted at once. While it is traced that costs no history.
         """
         with self._condition:
             self._request = request
-            if self._rendering is not None and _size(self._rendering) != _size(request):
+            if self._tracing and self._rendering is not None and _pixels(self._rendering) > 2 * _pixels(request):
                 self._interrupt()
             if not self._stopping and not self._thread.is_alive():
                 self._thread.start()
@@ -158,8 +159,7 @@ class Worker:
             try:
                 self._serve(request)
             except Interrupted:
-                if self._renderer is not None:  # to stop, or for a newer request of another size
-                    self._renderer.reset("the image size changed")
+                pass  # to stop, or for a newer request of fewer pixels
             except DeviceError as error:
                 self._drop_device(request, error)
             except Error as error:
@@ -195,7 +195,8 @@ class Worker:
 
     def _serve(self, request: Request) -> None:
         result = self.result
-        if self._is_new(request) or result.samples < request.sample_limit:
+        undiagnosed = _diagnoses(request) and (result.frame is None or result.frame.reset_reason is None)
+        if self._is_new(request) or result.samples < request.sample_limit or undiagnosed:
             result = self._render(request)
         measuring = self._measuring
         if measuring:
@@ -218,7 +219,8 @@ class Worker:
             reason = restart_reason(request.scene, self._done.scene)
             if reason:
                 renderer.reset(reason)
-        frame = renderer.render(scene)
+        self._tracing = True
+        frame = renderer.render(scene, self._note_progress)
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
@@ -240,10 +242,15 @@ class Worker:
             device=renderer.device.description,
         )
 
+    def _note_progress(self, share: float) -> None:
+        self._tracing = share < 1.0
+
     def _prepare(self, request: Request) -> Renderer:
         """The renderer of a request, a new one where the settings or the device are others."""
         device = "cpu" if request.device in self._lost else request.device
-        renderer, settings = self._renderer, _of_a_view(request.settings)
+        renderer, settings = self._renderer, replace(_of_a_view(request.settings), diagnostics=_diagnoses(request))
+        if renderer is not None and settings == replace(renderer.settings, diagnostics=settings.diagnostics):
+            renderer.settings = settings  # keeps its history
         if renderer is None or renderer.settings != settings or self._device_name != device:
             opened = renderer.device if renderer is not None and self._device_name == device else None
             self._renderer = renderer = None  # its memory is free before the next one asks for some
@@ -301,8 +308,13 @@ class Worker:
         self.result = replace(result, number=self.result.number + 1)
 
 
-def _size(request: Request) -> tuple[int, int]:
-    return request.scene.defaults.width, request.scene.defaults.height
+def _pixels(request: Request) -> int:
+    return request.scene.defaults.width * request.scene.defaults.height
+
+
+def _diagnoses(request: Request) -> bool:
+    """Whether what is shown is among what the denoiser tells only when asked."""
+    return OVERLAYS[request.look.overlay].diagnoses
 
 
 def _of_a_view(settings: Settings) -> Settings:

@@ -211,17 +211,20 @@ nb::object to_numpy(Device& device, nb::object image) {
 
 std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, HostArray<int32_t> triangles,
                                 HostArray<float> normals, std::optional<HostArray<float>> uvs,
-                                HostArray<int32_t> material_slots, std::optional<HostArray<float>> previous_positions) {
-    const Mesh::Arrays arrays{span_of(positions), span_of(triangles),      span_of(normals),
-                              span_of(uvs),       span_of(material_slots), span_of(previous_positions)};
+                                HostArray<int32_t> material_slots, std::optional<HostArray<float>> previous_positions,
+                                std::optional<HostArray<float>> tangents, int tangent_layer) {
+    const Mesh::Arrays arrays{span_of(positions),          span_of(triangles), span_of(normals), span_of(uvs),
+                              span_of(material_slots),     span_of(previous_positions),
+                              span_of(tangents),           tangent_layer};
     nb::gil_scoped_release release;
     return std::make_shared<Mesh>(device, arrays);
 }
 
 bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArray<float> normals,
-                HostArray<float> previous_positions) {
+                HostArray<float> previous_positions, std::optional<HostArray<float>> tangents) {
     const Mesh::Arrays arrays{.positions = span_of(positions), .triangles = {}, .normals = span_of(normals), .uvs = {},
-                              .material_slots = {}, .previous_positions = span_of(previous_positions)};
+                              .material_slots = {}, .previous_positions = span_of(previous_positions),
+                              .tangents = span_of(tangents)};
     nb::gil_scoped_release release;
     return mesh.refit(device, arrays);
 }
@@ -261,12 +264,16 @@ void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, 
 }
 
 void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
-               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf) {
+               HostArray<float> to_environment, HostArray<float> row_cdf, HostArray<float> column_cdf,
+               HostArray<float> backdrop_radiance, int backdrop_texture) {
     const auto color = fixed_span<3>(radiance, "world_radiance");
+    const auto backdrop = fixed_span<3>(backdrop_radiance, "backdrop_radiance");
     const auto rotation = fixed_span<9>(to_environment, "world_to_environment");
     Tracer::World world{.radiance = {color[0], color[1], color[2]},
                         .visibility = visibility,
                         .texture = texture,
+                        .backdrop_radiance = {backdrop[0], backdrop[1], backdrop[2]},
+                        .backdrop_texture = backdrop_texture,
                         .light = light,
                         .row_cdf = span_of(row_cdf),
                         .column_cdf = span_of(column_cdf)};
@@ -531,8 +538,10 @@ NB_MODULE(SVGF_MODULE, module) {
 
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
-             "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none())
-        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a)
+             "uvs"_a.none(), "material_slots"_a, "previous_positions"_a.none(), "tangents"_a = nb::none(),
+             "tangent_layer"_a = 0)
+        .def("refit", &refit_mesh, "device"_a, "positions"_a, "normals"_a, "previous_positions"_a,
+             "tangents"_a = nb::none())
         .def_prop_ro("bytes", &Mesh::bytes);
 
     nb::class_<Texture>(module, "Texture")
@@ -555,7 +564,7 @@ NB_MODULE(SVGF_MODULE, module) {
              "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
              "emission_maps"_a)
         .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
-             "row_cdf"_a, "column_cdf"_a)
+             "row_cdf"_a, "column_cdf"_a, "backdrop_radiance"_a, "backdrop_texture"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,
              "previous_window"_a, "clip"_a, "lens"_a, "previous_lens"_a)
         .def("trace", &trace, "width"_a, "height"_a, "sample"_a, "samples"_a, "seed"_a, "bounces"_a, "effects"_a,
@@ -571,6 +580,8 @@ NB_MODULE(SVGF_MODULE, module) {
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
         .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false)
+        .def("resize", &Denoiser::resize, "width"_a, "height"_a, nb::call_guard<nb::gil_scoped_release>(),
+             "The next frame is of another size; history goes on in it.")
         .def("history_images", [](Denoiser& denoiser) {
             return host_images(denoiser, denoiser.history_images());
         }, "What the next frame starts from.")

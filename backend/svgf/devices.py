@@ -51,10 +51,17 @@ class Device:
     def mesh(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Mesh(self._device, *arguments, **named)
 
-    def refit(self, mesh: Any, positions: np.ndarray, normals: np.ndarray, previous_positions: np.ndarray) -> bool:
+    def refit(
+        self,
+        mesh: Any,
+        positions: np.ndarray,
+        normals: np.ndarray,
+        previous_positions: np.ndarray,
+        tangents: np.ndarray | None = None,
+    ) -> bool:
         """Moves the vertices of a mesh of this device that was made with previous positions; its triangles, slots and
         UVs stay. Returns False where that does not pay: the mesh can then no longer be used."""
-        return mesh.refit(self._device, positions, normals, previous_positions)
+        return mesh.refit(self._device, positions, normals, previous_positions, tangents)
 
     def texture(self, *arguments: Any, **named: Any) -> Any:
         return self._module.Texture(self._device, *arguments, **named)

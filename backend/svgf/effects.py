@@ -72,9 +72,11 @@ def find_effects(scene: Scene) -> Effects:
 
 def _world_and_camera_effects(scene: Scene) -> Effects:
     effects = Effects.NONE
-    if max(scene.world.radiance) > 0.0:
+    pictures = [(scene.world.radiance, scene.world.environment), scene.world.backdrop]
+    seen = [environment for radiance, environment in pictures if max(radiance) > 0.0]
+    if seen:
         effects |= Effects.ENVIRONMENT
-        if scene.world.environment >= 0:
+        if max(seen) >= 0:
             effects |= Effects.ENVIRONMENT_MAP
         if scene.world.visibility | RayVisibility.SHADOW != RayVisibility.ALL:
             effects |= Effects.RAY_VISIBILITY

@@ -71,6 +71,7 @@ MATERIAL_COLUMNS = {
     "tangent_uv_layer": 42,
     "multiscatter": 43,
     "light_emission": 44,
+    "coat_normal_mapped": 47,
 }
 # Beyond these Fresnel's terms lose their digits.
 SMALLEST_IOR, LARGEST_IOR = 1e-5, 1000.0
@@ -126,7 +127,8 @@ class FlatScene:
     lens, previous_lens [6]: 1 if orthographic, radius and focus distance of the aperture, its blades, rotation, width
     over height.
 
-    world_radiance [3], world_visibility, environment: index into textures or -1, world_to_environment [9].
+    world_radiance [3], world_visibility, environment: index into textures or -1, world_to_environment [9];
+    backdrop_radiance [3], backdrop_environment: what the camera's rays see.
     row_cdf float32 [rows + 1], column_cdf float32 [rows, columns + 1]: by which directions of the environment are
     sampled, see svgf.environment; empty where they are not.
 
@@ -185,6 +187,8 @@ class FlatScene:
     world_visibility: int
     environment: int
     world_to_environment: np.ndarray
+    backdrop_radiance: np.ndarray
+    backdrop_environment: int
     row_cdf: np.ndarray
     column_cdf: np.ndarray
 
@@ -266,6 +270,8 @@ def flatten(scene: Scene, previous: FlatScene | None = None, smallest_light_tree
         world_visibility=int(scene.world.visibility),
         environment=scene.world.environment,
         world_to_environment=np.asarray(scene.world.world_to_environment, dtype=np.float64),
+        backdrop_radiance=np.asarray(scene.world.backdrop[0], dtype=np.float64),
+        backdrop_environment=scene.world.backdrop[1],
         **light_arrays,
     )
 
@@ -277,8 +283,8 @@ def _same_items(items: tuple, others: tuple) -> bool:
 def _same_world(scene: Scene, other: Scene) -> bool:
     if scene.world != other.world:
         return False
-    index = scene.world.environment
-    return index < 0 or scene.textures[index] is other.textures[index]
+    used = [index for index in (scene.world.environment, scene.world.backdrop_environment) if index >= 0]
+    return all(scene.textures[index] is other.textures[index] for index in used)
 
 
 def _lens(camera: Camera) -> np.ndarray:

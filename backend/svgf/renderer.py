@@ -14,7 +14,7 @@ from .albedo import albedo_tables
 from .devices import Device, open_device
 from .diagnostics import DIAGNOSTICS
 from .effects import Effects
-from .errors import InputError
+from .errors import InputError, Interrupted
 from .flatten import FlatScene, flatten
 from .frame import Frame
 from .scene import Mesh, Scene, Texture
@@ -68,6 +68,8 @@ class SceneUploader:
                 self._rounded(flat.world_to_environment),
                 flat.row_cdf,
                 flat.column_cdf,
+                self._rounded(flat.backdrop_radiance),
+                flat.backdrop_environment,
             )
         self._tracer.set_camera(*(np.asarray(getattr(flat, name), self._dtype) for name in CAMERA_FIELDS))
         self.last = flat
@@ -100,11 +102,18 @@ class SceneUploader:
         for index, (last, native) in enumerate(retired):
             if _deforms_into(last, mesh):
                 del retired[index]
-                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions):
+                if self._device.refit(native, mesh.positions, mesh.normals, mesh.previous_positions, mesh.tangents):
                     return native
                 break
         return self._device.mesh(
-            mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.material_slots, mesh.previous_positions
+            mesh.positions,
+            mesh.triangles,
+            mesh.normals,
+            mesh.uvs,
+            mesh.material_slots,
+            mesh.previous_positions,
+            mesh.tangents,
+            mesh.tangent_layer,
         )
 
     def _new_texture(self, texture: Texture, _: list[tuple[Texture, Any]]) -> Any:
@@ -128,7 +137,7 @@ LIGHT_FIELDS = (
 )  # fmt: skip
 WORLD_FIELDS = (
     "world_radiance", "world_visibility", "environment", "environment_light", "world_to_environment", "row_cdf",
-    "column_cdf",
+    "column_cdf", "backdrop_radiance", "backdrop_environment",
 )  # fmt: skip
 CAMERA_FIELDS = (
     "camera_to_world", "previous_camera_to_world", "window", "previous_window", "clip", "lens", "previous_lens",
@@ -142,6 +151,7 @@ def _deforms_into(last: Mesh, mesh: Mesh) -> bool:
         and last.previous_positions is not None
         and mesh.previous_positions is not None
         and last.positions.shape == mesh.positions.shape
+        and last.tangent_layer == mesh.tangent_layer
         and all(_same(getattr(last, name), getattr(mesh, name)) for name in ("triangles", "material_slots", "uvs"))
     )
 
@@ -182,9 +192,10 @@ class Renderer:
         """Renders the next frame of an animation, or the same scene again with new samples.
 
         scene: history is kept where its frame number follows that of the last call, or where it is the very same scene,
-        which then stands still. progress: called with the finished share of the samples, in (0, 1].
+        which then stands still; another image size does not end it. progress: called with the finished share of the
+        samples, in (0, 1].
         Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them
-        the next frame starts afresh.
+        the next frame starts afresh, unless it was interrupted before the denoiser had begun.
         """
         self._validator.check(scene)
         settings = self.settings
@@ -195,8 +206,9 @@ class Renderer:
         if width < 1 or height < 1:
             raise InputError(f"The image size is {width}x{height}.", "Both sides must be at least 1 pixel.")
 
-        reset = self._find_reset(scene, width, height)
+        reset = self._find_reset(scene)
         self.device.clear_interrupt()
+        tracing = True
         try:
             start = time.perf_counter()
             if self._repeats == 1:
@@ -205,22 +217,22 @@ class Renderer:
             self._uploader.upload(flat)
             update_ms = (time.perf_counter() - start) * 1e3
             images = self._trace(flat, width, height, scene.frame + self._repeats, bounces, progress)
+            tracing = False
             denoised = self._denoise(flat, images, width, height, reset)
             timings = {"update": update_ms, **self.device.take_timings()}
-        except BaseException:
-            self.reset("the last frame was not finished")
+        except BaseException as error:
+            if not (isinstance(error, Interrupted) and tracing):
+                self.reset("the last frame was not finished")
             self._last_scene = None
             raise
         self._last_scene, self._last_frame, self._reset_reason = scene, scene.frame, ""
         return self._finish(scene, images, denoised, exposure, timings, reset)
 
-    def _find_reset(self, scene: Scene, width: int, height: int) -> str:
+    def _find_reset(self, scene: Scene) -> str:
         """Why history cannot go on, or an empty string. Counts how often the same scene came in a row."""
         self._repeats = self._repeats + 1 if scene is self._last_scene else 0
         if self._reset_reason:
             return self._reset_reason
-        if (width, height) != self._denoiser_size:
-            return "the image size changed"
         if scene.cut:
             return "camera cut"
         if not self._repeats and scene.frame != self._last_frame + 1:
@@ -276,11 +288,13 @@ class Renderer:
         return images
 
     def _denoise(self, flat: FlatScene, images: dict[str, Any], width: int, height: int, reset: str) -> dict[str, Any]:
-        if self._denoiser is None or self._denoiser_size != (width, height):
+        if self._denoiser is None:
             self._denoiser = self.device.denoiser(
                 width, height, self.settings.method, self.settings.denoise.as_dict()
             )
-            self._denoiser_size = (width, height)
+        elif self._denoiser_size != (width, height):
+            self._denoiser.resize(width, height)
+        self._denoiser_size = (width, height)
         return self._denoiser.denoise(
             {**images, "window": flat.window}, reset=bool(reset), diagnostics=self.settings.diagnostics
         )

@@ -93,6 +93,9 @@ class Mesh:
     of each mesh; a layer that a mesh does not have reads as (0, 0).
     material_slots: int32 [T], index into the material list of the instance.
     previous_positions: float32 [V, 3] at the previous frame where the mesh deforms, else None.
+    tangents: float32 [T, 3, 4], MikkTSpace's unit tangent of each corner [Mikkelsen08] and 1, or -1 where V lies to its
+    right, of the UV layer tangent_layer; zero vectors and None: those of the triangle. Normal maps and anisotropy of
+    other layers have the triangle's, too.
     """
 
     name: str
@@ -102,6 +105,8 @@ class Mesh:
     material_slots: np.ndarray
     uvs: np.ndarray | None = None
     previous_positions: np.ndarray | None = None
+    tangents: np.ndarray | None = None
+    tangent_layer: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +184,7 @@ class Material:
     whose U axis anisotropy follows; -1: circles around the object's Z axis, as in Blender without a Tangent node.
     subsurface_weight is rendered as diffuse. normal_strength: >= 0, of the map "normal", which is in tangent space.
     multiscatter: light that is reflected between microfacets is not lost (Blender's distribution "Multiscatter GGX").
+    coat_normal_mapped: whether the normal map bends the coat, too, which else is smooth.
 
     What the other kinds read:
 
@@ -208,6 +214,7 @@ class Material:
     coat_roughness: float = 0.03
     coat_ior: float = 1.5
     coat_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    coat_normal_mapped: bool = False
     sheen_weight: float = 0.0
     sheen_roughness: float = 0.5
     sheen_tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -283,12 +290,23 @@ class World:
     read at u = 1/2 - atan2(y, x) / 2 pi, v = 1/2 + asin(z) / pi, as Blender does.
     world_to_environment: rotation, 3x3 by rows, of world directions before the image is looked up.
     visibility: the rays that see it; SHADOW is of no effect.
+    backdrop_radiance, backdrop_environment: what the camera's rays see in place of radiance and environment; None: the
+    same.
     """
 
     radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)
     environment: int = -1
     world_to_environment: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     visibility: RayVisibility = RayVisibility.ALL
+    backdrop_radiance: tuple[float, float, float] | None = None
+    backdrop_environment: int = -1
+
+    @property
+    def backdrop(self) -> tuple[tuple[float, float, float], int]:
+        """Radiance and environment as the camera's rays see them."""
+        if self.backdrop_radiance is None:
+            return self.radiance, self.environment
+        return self.backdrop_radiance, self.backdrop_environment
 
 
 @dataclass(frozen=True)

@@ -396,6 +396,8 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "material_slots": _array,
         "uvs": _optional(_array),
         "previous_positions": _optional(_array),
+        "tangents": _optional(_array),
+        "tangent_layer": _integer,
     },
     Instances: {
         **dict.fromkeys((field.name for field in fields(Instances)), _array),
@@ -418,6 +420,7 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "coat_roughness": _number,
         "coat_ior": _number,
         "coat_tint": _numbers,
+        "coat_normal_mapped": _flag,
         "sheen_weight": _number,
         "sheen_roughness": _number,
         "sheen_tint": _numbers,
@@ -460,6 +463,8 @@ _SCHEMA: dict[type, dict[str, _Decoder]] = {
         "environment": _integer,
         "world_to_environment": _numbers,
         "visibility": _flags(RayVisibility),
+        "backdrop_radiance": _optional(_numbers),
+        "backdrop_environment": _integer,
     },
     Camera: {
         "camera_to_world": _array,

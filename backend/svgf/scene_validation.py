@@ -130,6 +130,9 @@ def _check_world(world: World, texture_count: int) -> None:
     if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=1e-3):
         raise _Invalid("world.world_to_environment", "is no rotation; its rows must be perpendicular unit vectors")
     _instance("world.visibility", world.visibility, RayVisibility)
+    if world.backdrop_radiance is not None:
+        _numbers("world.backdrop_radiance", world.backdrop_radiance, 3, 0.0)
+    _integer("world.backdrop_environment", world.backdrop_environment, -1, texture_count - 1)
 
 
 def _check_camera(field: str, camera: Camera) -> None:
@@ -256,6 +259,9 @@ def _check_mesh(field: str, mesh: Mesh) -> _MeshFacts:
         if layers and not 1 <= len(uvs) <= MOST_UV_LAYERS:
             raise _Invalid(f"{field}.uvs", f"has {len(uvs)} layers, not 1 to {MOST_UV_LAYERS}")
         _finite(f"{field}.uvs", uvs)
+    if mesh.tangents is not None:
+        _finite(f"{field}.tangents", _array(f"{field}.tangents", mesh.tangents, np.float32, (count, 3, 4)))
+    _integer(f"{field}.tangent_layer", mesh.tangent_layer, 0, MOST_UV_LAYERS - 1)
 
     warnings = []
     broken = ~np.isfinite(positions).all(axis=1)

@@ -102,6 +102,20 @@ def add_world(color=(0.2, 0.4, 0.6), strength=2.0) -> bpy.types.World:
     return world
 
 
+def split_by_camera_ray(world: bpy.types.World, backdrop) -> bpy.types.Node:
+    """What the camera sees of the world becomes that of another Background node, of this colour, which is returned."""
+    tree = world.node_tree
+    first = next(node for node in tree.nodes if node.type == "BACKGROUND")
+    second, mix, path = (tree.nodes.new(f"ShaderNode{name}") for name in ("Background", "MixShader", "LightPath"))
+    second.inputs["Color"].default_value = (*backdrop, 1)
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(first.outputs[0], mix.inputs[1])
+    tree.links.new(second.outputs[0], mix.inputs[2])
+    output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    return second
+
+
 def add_geometry_nodes(obj: bpy.types.Object, build) -> None:
     """build(tree, input, output) links nodes between the geometry sockets input and output."""
     tree = bpy.data.node_groups.new("Nodes", "GeometryNodeTree")

@@ -13,7 +13,16 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from blend import add_image, add_light, add_material, add_mesh, add_shader, add_world, export
+from blend import (
+    add_image,
+    add_light,
+    add_material,
+    add_mesh,
+    add_shader,
+    add_world,
+    export,
+    split_by_camera_ray,
+)
 from mathutils import Euler
 
 pytestmark = pytest.mark.skipif(not hasattr(bpy.types.Scene, "cycles"), reason="The Cycles add-on is disabled.")
@@ -172,6 +181,15 @@ def test_limits_of_light_paths(room, tmp_path, limits):
     else:
         add_ball((-0.7, -0.4, 0.5), kind="ShaderNodeBsdfGlossy", Roughness=0.5)
     assert_same_picture(tmp_path, 256, bias=0.015)
+
+
+def test_world_that_the_camera_sees_otherwise(room, tmp_path):
+    """A mirror shows what lights the scene, the camera another colour."""
+    world = add_world((0.9, 0.5, 0.2), 1.0)
+    add_ball(kind="ShaderNodeBsdfAnisotropic", Roughness=0.0)
+    bpy.data.objects.remove(room[1])
+    split_by_camera_ray(world, (0.1, 0.3, 0.8))
+    assert_same_picture(tmp_path)
 
 
 def test_clamps(room, tmp_path):

@@ -8,7 +8,7 @@ from collections import OrderedDict
 import bpy
 import numpy as np
 import pytest
-from blend import add_image, add_light, add_mesh, add_world, export, validate
+from blend import add_image, add_light, add_mesh, add_world, export, split_by_camera_ray, validate
 from mathutils import Euler
 from svgf.errors import Interrupted
 from svgf.scene import LightKind, RayVisibility
@@ -250,6 +250,60 @@ def test_ray_visibility_of_the_world():
     assert export().world.visibility == RayVisibility.ALL & ~RayVisibility.CAMERA
 
 
+def test_camera_sees_another_color():
+    split_by_camera_ray(add_world((0.2, 0.4, 0.6), 2.0), (0.9, 0.1, 0.3))
+    scene = export()
+    assert np.allclose(scene.world.radiance, (0.4, 0.8, 1.2)) and scene.world.environment == -1
+    assert np.allclose(scene.world.backdrop_radiance, (0.9, 0.1, 0.3)) and scene.world.backdrop_environment == -1
+    assert not scene.warnings
+
+
+def test_camera_sees_a_color_and_an_image_lights():
+    pixels = np.random.default_rng(0).random((4, 8, 4))
+    world = add_world(strength=1.0)
+    link_sky(world, pixels)
+    split_by_camera_ray(world, (0.9, 0.1, 0.3))
+    scene = export()
+    assert scene.world.environment == 0 and scene.textures[0].pixels.shape == (4, 8, 4)
+    assert scene.world.backdrop_environment == -1 and np.allclose(scene.world.backdrop_radiance, (0.9, 0.1, 0.3))
+
+
+def test_camera_sees_another_image_in_another_place():
+    """Its texels are moved to where the turned directions of the first look them up."""
+    world = add_world(strength=1.0)
+    tree = world.node_tree
+    sky = link_sky(world, np.random.default_rng(0).random((16, 32, 4)))
+    place, turn = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
+    turn.inputs["Rotation"].default_value = (0, 0, 0.7)
+    tree.links.new(place.outputs["Generated"], turn.inputs["Vector"])
+    tree.links.new(turn.outputs["Vector"], sky.inputs["Vector"])
+    second = split_by_camera_ray(world, (0, 0, 0))
+    tree.links.new(place.outputs["Generated"], second.inputs["Color"])
+    scene = export()
+    world = scene.world
+    assert (world.environment, world.backdrop_environment) == (0, 1)
+    rotation = np.reshape(world.world_to_environment, (3, 3))
+    assert not np.allclose(rotation, np.eye(3))
+    pixels = scene.textures[1].pixels
+    height, width = pixels.shape[:2]
+    for direction in np.random.default_rng(1).normal(size=(20, 3)):
+        direction /= np.linalg.norm(direction)
+        x, y, z = rotation @ direction
+        u, v = 0.5 - np.arctan2(y, x) / (2 * np.pi), 0.5 + np.arcsin(z) / np.pi
+        texel = pixels[min(int(v * height), height - 1), min(int(u * width), width - 1), :3]
+        assert np.allclose(texel, np.maximum(direction, 0), atol=4 / height)
+
+
+def test_other_kinds_of_rays_are_named():
+    world = add_world()
+    tree = world.node_tree
+    split_by_camera_ray(world, (1, 1, 1))
+    path, mix = (next(node for node in tree.nodes if node.type == kind) for kind in ("LIGHT_PATH", "MIX_SHADER"))
+    tree.links.new(path.outputs["Is Glossy Ray"], mix.inputs[0])
+    scene = export()
+    assert any("Light Path" in warning for warning in scene.warnings) and scene.world.backdrop_radiance is None
+
+
 def link_color(world, kind: str):
     """A node in place of the world's colour."""
     node = world.node_tree.nodes.new(kind)
@@ -259,9 +313,9 @@ def link_color(world, kind: str):
 
 
 def test_other_world_nodes_are_named():
-    link_color(add_world(), "ShaderNodeLightPath")
+    link_color(add_world(), "ShaderNodeObjectInfo")
     (warning,) = export().warnings
-    assert warning.startswith('World "World": node "Light Path" (Light Path)')
+    assert warning.startswith('World "World": node "Object Info" (Object Info)')
 
 
 @pytest.fixture

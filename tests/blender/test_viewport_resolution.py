@@ -35,7 +35,7 @@ def test_still_view_is_whole(resolution):
 
 
 def test_changes_in_a_row_keep_the_coarsest(resolution):
-    """Each other size would restart the history."""
+    """Each step blurs or thins the history."""
     resolution.choose(PIXELS, 25, 10.0, changed=True)
     resolution.measure(500.0, PIXELS)
     assert resolution.choose(PIXELS, 25, 10.1, changed=True) == 6

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from blend import add_cube, add_light, export
 from svgf.devices import available_devices
+from svgf.diagnostics import ResetReason
 from svgf.effects import Effects, find_effects
 from svgf.errors import DeviceError, InputError, Interrupted
 from svgf.settings import Settings
 from svgf_blender.viewport import worker as module
-from svgf_blender.viewport.picture import OVERLAYS, RESET_COLORS, Look, find_bad_values, paint
+from svgf_blender.viewport.picture import OVERLAYS, RESET_COLORS, Look, paint
 from svgf_blender.viewport.worker import Request, Worker
 
 DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.available and info.name == "cpu")
@@ -77,7 +78,7 @@ def test_view_that_turns_keeps_history(worker, scene):
     [
         (lambda scene: {"scene": replace(scene, lights=tuple(scene.lights))}, ""),
         (lambda scene: {"scene": replace(scene, lights=())}, "the lights changed"),
-        (lambda scene: {"scene": replace(scene, defaults=replace(scene.defaults, width=12))}, "the image size changed"),
+        (lambda scene: {"scene": replace(scene, defaults=replace(scene.defaults, width=12))}, ""),
         (lambda scene: {"settings": Settings(seed=1)}, "the settings changed"),
         (lambda scene: {"device": "reference"}, "the device changed"),
     ],
@@ -114,7 +115,7 @@ def test_overlay_paints_the_same_frame_again(worker, scene):
 
 
 def test_pictures_are_what_a_half_float_texture_takes(worker, scene):
-    frame = ask(worker, scene, limit=1).frame
+    frame = ask(worker, scene, limit=1, look=Look("reset_reason")).frame
     color = frame.color.copy()
     color[0, 0], color[0, 1] = (np.nan, np.inf, 1e9), (-1, 0, -np.inf)
     for overlay in OVERLAYS:
@@ -129,7 +130,7 @@ def test_overlays_of_an_empty_scene(worker, scene):
     instances = scene.instances
     rows = {name: rows[:0] for name, rows in vars(instances).items() if rows is not None}
     empty = replace(instances, **rows)
-    frame = ask(worker, replace(scene, meshes=(), instances=empty), limit=1).frame
+    frame = ask(worker, replace(scene, meshes=(), instances=empty), limit=1, look=Look("reset_reason")).frame
     for overlay in OVERLAYS:
         assert np.isfinite(paint(frame, Look(overlay))).all()
 
@@ -182,7 +183,7 @@ def test_cpu_that_fails_is_an_error(scene):
 def test_closing_interrupts_the_frame(worker, scene, monkeypatch):
     stopped, started = threading.Event(), threading.Event()
 
-    def endless(self, scene):
+    def endless(self, scene, *arguments):
         started.set()
         assert stopped.wait(10)
         raise Interrupted("Stopped.")
@@ -206,16 +207,15 @@ def test_requests_are_not_queued(worker, scene):
     assert result.scene.camera is last.camera and result.error == ""
 
 
-def test_other_size_interrupts_the_frame(worker, scene, monkeypatch):
-    """Its history is lost in any case, and a coarser picture is wanted at once."""
+def test_coarser_picture_interrupts_the_frame(worker, scene, monkeypatch):
     render, started, stopped = module.Renderer.render, threading.Event(), threading.Event()
 
-    def slow(self, scene):
+    def slow(self, scene, *arguments):
         if scene.defaults.width == 24 and not stopped.is_set():
             started.set()
             assert stopped.wait(10)
             raise Interrupted("Stopped.")
-        return render(self, scene)
+        return render(self, scene, *arguments)
 
     monkeypatch.setattr(module.Renderer, "render", slow)
     monkeypatch.setattr(module.Renderer, "interrupt", lambda self: stopped.set())
@@ -226,6 +226,18 @@ def test_other_size_interrupts_the_frame(worker, scene, monkeypatch):
     small = replace(scene, defaults=replace(scene.defaults, width=12, height=7))
     result = ask(worker, small)
     assert stopped.is_set() and result.frame.width == 12 and result.error == "" and result.samples == 4
+
+
+def test_history_survives_the_steps_of_resolution(worker, scene):
+    ask(worker, scene, limit=16)
+    full = scene.defaults
+    for divisor in (2, 1, 3):
+        defaults = replace(full, width=full.width // divisor, height=full.height // divisor)
+        last = ask(worker, replace(scene, defaults=defaults), limit=1, look=Look("reset_reason"))
+        assert last.frame.reset == "" and last.frame.color.shape[1] == defaults.width
+        surface = last.frame.object_id > 0
+        assert (last.frame.reset_reason[surface] == ResetReason.KEPT).all()
+        assert (last.frame.history_length[surface] > 1).all()
 
 
 def test_noise_of_a_mean_falls_with_its_samples(worker, scene):
@@ -252,35 +264,64 @@ def test_transparent_film_lets_the_background_through(worker, scene):
     assert (paint(frame, Look("depth"))[..., 3] == 1).all(), "Data has no background."
 
 
-def test_bad_values_are_marked(worker, scene):
-    frame = ask(worker, scene, limit=1).frame
-    assert not find_bad_values(frame).any()
-    noisy, depth = frame.noisy.copy(), frame.depth.copy()
-    noisy[0, 0, 1], noisy[1, 2, 0], depth[3, 4] = np.nan, -1.0, np.inf
-    bad = find_bad_values(replace(frame, noisy=noisy, depth=depth))
-    assert np.argwhere(bad).tolist() == [[0, 0], [1, 2], [3, 4]]
-    marked = paint(replace(frame, noisy=noisy, depth=depth), Look("bad_values"))[::-1]
-    assert (marked[bad, 0] == 1).all() and (marked[~bad, 0] < 0.5).all()
+def test_diagnostics_are_made_only_while_they_are_shown(worker, scene):
+    """By the denoiser itself, in one more frame where the view rests; its history goes on."""
+    first = ask(worker, scene)
+    assert first.frame.reset_reason is None and "diagnose" not in first.frame.timings
+    second = ask(worker, scene, look=Look("reset_reason"))
+    assert second.samples == first.samples + 1 and second.frame.reset == ""
+    assert set(np.unique(second.frame.reset_reason)) == {ResetReason.KEPT, ResetReason.BACKGROUND}
+    assert "diagnose" in second.frame.timings
+    assert ask(worker, scene, look=Look("motion_error")).frame is second.frame
+    third = ask(worker, scene, limit=8)
+    assert third.frame.reset_reason is None and third.frames == 8 and "diagnose" not in third.frame.timings
+
+
+@pytest.mark.parametrize("overlay", [name for name, each in OVERLAYS.items() if each.diagnoses])
+@pytest.mark.parametrize("method", ["svgf+", "svgf", "eaw", "none"])
+def test_diagnostics_can_be_shown_with_every_method(worker, scene, method, overlay):
+    result = ask(worker, scene, limit=2, settings=Settings(method=method), look=Look(overlay))
+    assert not result.error and np.array_equal(result.picture, paint(result.frame, Look(overlay)))
+
+
+def test_repaired_values_are_marked(worker, scene):
+    frame = ask(worker, scene, limit=1, look=Look("repaired_values")).frame
+    assert not frame.repaired_values.any()
+    repaired = np.zeros_like(frame.repaired_values)
+    repaired[1, 2] = 3
+    marked = paint(frame.with_images(repaired_values=repaired), Look("repaired_values"))[::-1]
+    assert marked[1, 2, 0] == 1 and np.count_nonzero(marked[..., 0] >= 0.5) == 1
 
 
 def test_reset_reasons(worker, scene):
     """Each pixel says why it has no history, or that it has one."""
-    frame = ask(worker, scene, limit=8).frame
-    surface = frame.object_id > 0
+    look = Look("reset_reason")
+    first = ask(worker, scene, limit=1, look=look)
+    assert colors_of_surfaces(first) == {color_of(ResetReason.RESTARTED)}
+    assert colors_of_surfaces(ask(worker, scene, limit=2, look=look)) == {color_of(ResetReason.KEPT)}
+    left, right, bottom, top = scene.camera.window
+    camera = replace(scene.camera, window=(left, right, bottom + 0.05, top + 0.05))
+    turned = ask(worker, replace(scene, camera=camera), limit=1, look=look)
+    assert color_of(ResetReason.KEPT) in colors_of_surfaces(turned)
+    camera = replace(scene.camera, window=(right - 0.1, 2 * right - left - 0.1, bottom, top))
+    away = ask(worker, replace(scene, camera=camera), limit=1, look=look)
+    back = ask(worker, scene, limit=1, look=look)
+    assert (away.picture[..., :3] == RESET_COLORS[ResetReason.BACKGROUND][0]).all(axis=2).any()
+    assert color_of(ResetReason.OUTSIDE) in colors_of_surfaces(back)
 
-    def colors(frame):
-        return {tuple(color) for color in paint(frame, Look("reset_reason"))[::-1][surface][:, :3].tolist()}
 
-    def color(name):
-        return tuple(np.float32(RESET_COLORS[name][0]).tolist())
+def test_every_reset_reason_has_a_color():
+    assert set(RESET_COLORS) == set(ResetReason)
+    assert len({color for color, _ in RESET_COLORS.values()}) == len(ResetReason)
 
-    assert colors(frame) == {color("kept")}
-    assert colors(replace(frame, reset="a cut")) == {color("restarted")}
-    new = replace(frame, history_length=np.ones_like(frame.history_length))
-    assert colors(new) == {color("revealed")}
-    motion = frame.motion.copy()
-    motion[..., 0] = -frame.width
-    assert colors(replace(new, motion=motion)) == {color("entered")}
+
+def colors_of_surfaces(result):
+    surface = result.frame.object_id[::-1] > 0
+    return {tuple(color) for color in result.picture[surface][:, :3].tolist()}
+
+
+def color_of(reason):
+    return tuple(np.float32(RESET_COLORS[reason][0]).tolist())
 
 
 def test_costs_of_effects_come_when_asked_for(worker, scene):

@@ -60,7 +60,7 @@ class CostEngine(bpy.types.RenderEngine):
 def script() -> Iterator[float]:
     random = np.random.default_rng(0)
     frame = random_frame(random)
-    for name in ("result", "split", "normal", "bad_values"):
+    for name in ("result", "split", "normal", "repaired_values"):
         times = []
         for _ in range(5):
             start = time.perf_counter()
@@ -101,6 +101,7 @@ def random_frame(random: np.random.Generator) -> Frame:
         object_id=np.ones((HEIGHT, WIDTH), np.int32),
         variance=image(),
         history_length=image(),
+        repaired_values=image(),
     )
 
 

@@ -10,6 +10,7 @@
 #include "denoise/demodulate.h"
 #include "denoise/diagnose.h"
 #include "denoise/modulate.h"
+#include "denoise/resample.h"
 #include "denoise/temporal.h"
 #include "denoise/temporal_plus.h"
 #include "denoise/variance.h"
@@ -162,6 +163,52 @@ typename Storage::Color Denoiser::color_of(Place place, int signal) {
 template <class Storage>
 typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
     return {memory.data() + signal * pixels() * Storage::moments_bytes};
+}
+
+void Denoiser::resize(int width, int height) {
+    if (width == width_ && height == height_) return;
+    // What a frame alone needs makes room first.
+    for (Memory* memory : {&guides_, &working_, &scratch_, &next_history_, &moments_}) *memory = {};
+    if (has_history_) {
+        with_method([&]<class Method>() {
+            using Storage = typename Method::Storage;
+            signals_ == 1 ? resample<Storage, 1>(width, height) : resample<Storage, 2>(width, height);
+        });
+        return;
+    }
+    for (Memory* memory : {&previous_guides_, &history_, &previous_moments_, &resolved_}) *memory = {};
+    width_ = width;
+    height_ = height;
+    prepare(std::max(signals_, 1));
+}
+
+// Where the history is, at the size that it has.
+template <class Storage, int Signals>
+HistoryImages<Storage, Signals> Denoiser::history_views() {
+    HistoryImages<Storage, Signals> views;
+    views.guides = guides_of<Storage>(previous_guides_);
+    for (int s = 0; s < Signals; ++s) {
+        views.color[s] = color_of<Storage>(Place::history, s);
+        views.moments[s] = moments_of<Storage>(previous_moments_, s);
+    }
+    if (has_resolved_) views.resolved = {resolved_.data()};
+    return views;
+}
+
+template <class Storage, int Signals>
+void Denoiser::resample(int width, int height) {
+    Resample<Storage, Signals> stage;
+    stage.in = history_views<Storage, Signals>();
+    stage.frames_share = std::min(1.0f, float(pixels()) / (float(width) * float(height)));
+    Memory old[] = {std::move(previous_guides_), std::move(history_), std::move(previous_moments_),
+                    std::move(resolved_)};
+    has_history_ = false;  // until all of it is there
+    width_ = width;
+    height_ = height;
+    prepare(Signals);
+    stage.out = history_views<Storage, Signals>();
+    launch("resample", stage);
+    has_history_ = true;
 }
 
 void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,

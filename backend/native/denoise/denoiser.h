@@ -113,6 +113,7 @@ template <class Storage, int Signals> struct Demodulate;
 template <class Storage, int Signals> struct Temporal;
 template <class Storage, int Signals> struct Modulate;
 template <class Storage> struct Reprojection;
+template <class Storage, int Signals> struct HistoryImages;
 
 class Denoiser {
 public:
@@ -121,6 +122,9 @@ public:
 
     // Allocates what so many signals need; a frame with more than all before does it, too.
     void prepare(int signals);
+
+    // The next frame is of another size, >= 1; history goes on in it (resample.h).
+    void resize(int width, int height);
 
     // One frame. reset forgets the history first, as does another number of signals than last frame's. diagnostics:
     // null where nobody asks for them.
@@ -183,6 +187,8 @@ private:
     template <class Storage> typename Storage::Color color_of(Place place, int signal);
     template <class Storage> typename Storage::Moments moments_of(Memory& memory, int signal);
     template <class Run> auto with_method(Run run);
+    template <class Storage, int Signals> HistoryImages<Storage, Signals> history_views();
+    template <class Storage, int Signals> void resample(int width, int height);
 
     template <class Method, int Signals> void run(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);
     template <int Signals> void run_plus(const DenoiseInputs& inputs, const DenoiseOutputs& outputs);

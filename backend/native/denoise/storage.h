@@ -63,6 +63,10 @@ struct FloatStorage {
             object_id_[pixel] = object_id;
         }
         SVGF_HD void store_length(int pixel, float length) const { length_[pixel] = length; }
+        // Another image's, but for its frames.
+        SVGF_HD void store(int pixel, const Guides& other, int other_pixel) const {
+            store(pixel, other.normal_depth_[other_pixel], other.object_id_[other_pixel]);
+        }
 
         // What may be compared with object_id().
         SVGF_HD static int32_t stored_id(int32_t object_id) { return object_id; }
@@ -152,6 +156,10 @@ struct PackedStorage {
             const float depth = id ? normal_depth.w : largest_float;
             texels_[pixel] = {encode_normal<12>(normal_depth.xyz()) | id << 24,
                               encode_positive<17>(depth) | id >> 8 << 24};
+        }
+        // Another image's.
+        SVGF_HD void store(int pixel, const Guides& other, int other_pixel) const {
+            texels_[pixel] = other.texels_[other_pixel];
         }
 
         // What may be compared with object_id().

@@ -26,6 +26,9 @@ struct alignas(16) CornerNormals {  // 48 bytes; all zero: use the face normal
 struct alignas(8) CornerUvs {  // 24 bytes
     Vec2 corner[3];
 };
+struct alignas(16) CornerTangents {  // 48 bytes; along U, and the side of V: 1 or -1
+    Vec4 corner[3];
+};
 struct TrianglePositions {  // 36 bytes
     Vec3 vertex[3];
 };
@@ -36,7 +39,9 @@ struct MeshView {
     const LeafTriangle* triangles = nullptr;
     const CornerNormals* normals = nullptr;                 // null: face normals everywhere
     const CornerUvs* uvs = nullptr;                         // [uv_layers, triangle_count]
+    const CornerTangents* tangents = nullptr;               // null: those of the triangles
     const TrianglePositions* previous_positions = nullptr;  // null: as now
+    std::int32_t tangent_layer = 0;                         // of UVs, to which tangents belong
     std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
     std::int32_t triangle_count = 0;
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
@@ -107,7 +112,8 @@ struct alignas(16) Material {
     std::int32_t map_start, map_count, tangent_uv_layer;
     float multiscatter;  // 1: with energy compensation; 0: without
     Vec3 light_emission;
-    std::int32_t alpha_map;  // of material_maps; -1: alpha is a constant
+    std::int32_t alpha_map : 31;  // of material_maps; -1: alpha is a constant
+    std::uint32_t coat_normal_mapped : 1;
 };
 static_assert(sizeof(Material) == 48 * sizeof(float));
 
@@ -227,6 +233,8 @@ struct WorldView {
     Vec3 radiance;  // times the environment's
     std::uint32_t visibility = ray_kind::all;
     std::int32_t texture = -1;  // the environment image
+    Vec3 backdrop_radiance;     // the same two as the camera's rays see them
+    std::int32_t backdrop_texture = -1;
     Vec3 to_environment[3];     // rows of a rotation
     // The density of directions that are sampled, constant within each cell of equirectangular maps: [rows + 1] and
     // [rows, columns + 1]. Null: the environment is only found by rays that run into it.

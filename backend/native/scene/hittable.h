@@ -26,4 +26,14 @@ SVGF_HD inline CornerNormals checked_normals(const Vec3* corners) {
     return result;
 }
 
+// Zero, which stands for the triangle's own, where it is no tangent.
+SVGF_HD inline CornerTangents checked_tangents(const Vec4* corners) {
+    CornerTangents result;
+    for (int k = 0; k < 3; ++k) {
+        if (!is_finite(corners[k].xyz()) || !is_finite(corners[k].w)) return {};
+        result.corner[k] = corners[k];
+    }
+    return result;
+}
+
 }  // namespace svgf

@@ -40,6 +40,8 @@ void check(const Mesh::Arrays& arrays) {
            "A mesh needs three UVs for each triangle in every layer, or none.");
     expect(arrays.previous_positions.empty() || arrays.previous_positions.size() == arrays.positions.size(),
            "A mesh's previous positions must be as many as its positions.");
+    expect(arrays.tangents.empty() || arrays.tangents.size() == 12 * count,
+           "A mesh needs three tangents for each triangle, or none.");
     // Offsets in the tree are 32 bits, and the device's loops count in int.
     expect(count < (std::size_t(1) << 30), "A mesh may have at most 2^30 triangles.");
 }
@@ -116,6 +118,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     HostBuffer<CornerNormals> normals(count);
     const std::size_t uv_layers = arrays.uvs.size() / std::max<std::size_t>(6 * triangle_count, 1);
     HostBuffer<CornerUvs> uvs(uv_layers * count);
+    HostBuffer<CornerTangents> tangents(arrays.tangents.empty() ? 0 : count);
     HostBuffer<TrianglePositions> previous(arrays.previous_positions.empty() ? 0 : count);
     std::atomic<bool> any_normal = false;
     std::atomic<std::int32_t> smallest_slot = 0, largest_slot = -1;
@@ -134,6 +137,8 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
                 const float* uv = &arrays.uvs[6 * (layer * triangle_count + t)];
                 uvs[layer * count + i] = {{{uv[0], uv[1]}, {uv[2], uv[3]}, {uv[4], uv[5]}}};
             }
+            if (!tangents.empty())
+                tangents[i] = checked_tangents(reinterpret_cast<const Vec4*>(arrays.tangents.data()) + 3 * t);
             if (!previous.empty()) {
                 previous[i] = positions_of(arrays, arrays.previous_positions, t, centre_);
                 for (int k = 0; k < 3; ++k)
@@ -161,6 +166,11 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         view_.uv_layers = std::int32_t(uv_layers);
         view_.triangle_count = std::int32_t(count);
     }
+    if (!tangents.empty()) {
+        tangents_ = Buffer<CornerTangents>(device, tangents, "tangents");
+        view_.tangents = tangents_.data();
+        view_.tangent_layer = arrays.tangent_layer;
+    }
     if (previous.empty())
         top_nodes_.assign(bvh.nodes.begin(),
                           bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
@@ -184,7 +194,8 @@ void Mesh::set_bounds(const Bounds& bounds) {
 
 std::size_t Mesh::bytes() const {
     std::size_t bytes =
-        nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + previous_positions_.bytes();
+        nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + tangents_.bytes() +
+        previous_positions_.bytes();
     if (refit_)
         bytes += refit_->vertices.bytes() + refit_->bounds.bytes() + refit_->cost.bytes() + refit_->levels.bytes() +
                  refit_->left_out.bytes();

@@ -30,6 +30,8 @@ public:
         std::span<const float> uvs;               // [layers, T, 3, 2], or empty: (0, 0)
         std::span<const std::int32_t> material_slots;  // [T], >= 0
         std::span<const float> previous_positions;     // [V, 3], or empty: as positions
+        std::span<const float> tangents;               // [T, 3, 4], or empty: the triangles' own
+        std::int32_t tangent_layer = 0;                // of uvs
     };
 
     // Throws InputError if the lengths do not fit together.
@@ -79,6 +81,7 @@ private:
     Buffer<LeafTriangle> triangles_;
     Buffer<CornerNormals> normals_;
     Buffer<CornerUvs> uvs_;
+    Buffer<CornerTangents> tangents_;
     Buffer<TrianglePositions> previous_positions_;
     std::unique_ptr<Refit> refit_;  // of a mesh that deforms
     MeshView view_;

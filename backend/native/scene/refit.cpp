@@ -16,6 +16,10 @@ std::span<const Vec3> vectors_of(std::span<const float> values) {
     return {reinterpret_cast<const Vec3*>(values.data()), values.size() / 3};
 }
 
+std::span<const Vec4> vectors4_of(std::span<const float> values) {
+    return {reinterpret_cast<const Vec4*>(values.data()), values.size() / 4};
+}
+
 // Node indices sorted by level, the root's first, and where each level starts.
 void sort_by_level(std::span<const WideNode> nodes, std::vector<std::uint32_t>& order, std::vector<int>& starts) {
     order = {0};
@@ -67,15 +71,19 @@ bool Mesh::refit(Device& device, const Arrays& arrays) {
     // A mesh that had no normals has no room for any.
     if (!normals_ && std::any_of(arrays.normals.begin(), arrays.normals.end(), [](float x) { return x != 0.0f; }))
         return false;
+    if (arrays.tangents.size() != (tangents_ ? 4 * refit_->vertices.size() : 0)) return false;
     const Buffer<Vec3> positions(device, vectors_of(arrays.positions), "positions");
     const Buffer<Vec3> previous(device, vectors_of(arrays.previous_positions), "previous positions");
     Buffer<Vec3> normals;
     if (normals_) normals = Buffer<Vec3>(device, vectors_of(arrays.normals), "normals");
+    Buffer<Vec4> tangents;
+    if (tangents_) tangents = Buffer<Vec4>(device, vectors4_of(arrays.tangents), "tangents");
     Buffer<std::int32_t> changed(device, 1, "refit");
     changed.clear();
     device.launch("refit triangles", int(triangle_count()),
-                  RefitTrianglesStage{centre_, refit_->vertices.data(), positions.data(), normals.data(), previous.data(),
-                                      triangles_.data(), normals_.data(), previous_positions_.data(), changed.data()});
+                  RefitTrianglesStage{centre_, refit_->vertices.data(), positions.data(), normals.data(),
+                                      tangents.data(), previous.data(), triangles_.data(), normals_.data(),
+                                      tangents_.data(), previous_positions_.data(), changed.data()});
     device.launch("refit triangles", int(refit_->left_out.size()),
                   RefitLeftOutStage{refit_->left_out.data(), refit_->vertices.data(), positions.data(), changed.data()});
     if (changed.download()[0] > 0) return false;

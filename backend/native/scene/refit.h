@@ -14,9 +14,11 @@ struct RefitTrianglesStage {
     const std::int32_t* in_vertices;      // [T, 3]
     const Vec3* in_positions;             // [V]
     const Vec3* in_normals;               // [T, 3]
+    const Vec4* in_tangents;              // [T, 3]
     const Vec3* in_previous_positions;    // [V]
     LeafTriangle* out_triangles;          // index and material slot stay
     CornerNormals* out_normals;           // null: none
+    CornerTangents* out_tangents;         // null: none
     TrianglePositions* out_previous_positions;
     std::int32_t* out_changed;  // number of triangles that can no longer be hit
 
@@ -33,6 +35,7 @@ struct RefitTrianglesStage {
         triangle.vertex2 = c - centre;
         out_triangles[i] = triangle;
         if (out_normals) out_normals[i] = checked_normals(in_normals + 3 * std::size_t(triangle.index));
+        if (out_tangents) out_tangents[i] = checked_tangents(in_tangents + 3 * std::size_t(triangle.index));
         TrianglePositions before{{triangle.vertex0, triangle.vertex1, triangle.vertex2}};
         for (int k = 0; k < 3; ++k) {
             const Vec3 p = in_previous_positions[index[k]] - centre;

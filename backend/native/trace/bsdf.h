@@ -13,6 +13,8 @@
 // light at 85 degrees and roughness 1); here white glass stays white, within 0.5 %.
 // A lobe of vanishing roughness is a mirror ("delta"): sampled on its own, and no part of evaluate().
 // Directions point away from the surface; what lies on the wrong side of the geometric normal is black.
+// Under a normal map, D and H have the map's normal, of which S and G take what keeps their reflections above the
+// surface, and C the smooth one unless told otherwise. A lobe whose normal is not that of S is called tilted.
 #pragma once
 
 #include "core/effects.h"
@@ -89,7 +91,7 @@ public:
         Vec3 reflected, refracted;
         if (alpha_.is_smooth()) reflected = specular_at(view_.z);
         if constexpr (has_coat)
-            if (coat_alpha_.is_smooth()) reflected += coat_at(view_.z);
+            if (coat_alpha_.is_smooth() && !coat_is_tilted()) reflected += coat_at(view_.z);
         if constexpr (has_transmission)
             if (glass_probability_ > 0.0f && is_glass_smooth()) {
                 const GlassEvents events = glass_at(view_.z);
@@ -118,6 +120,8 @@ private:
     static constexpr bool has_sheen = covers(kernel, Effects::sheen);
     static constexpr bool has_anisotropy = covers(kernel, Effects::anisotropy);
     static constexpr bool has_normal_maps = covers(kernel, Effects::normal_maps);
+    static constexpr bool has_tilted_diffuse = has_specular && has_normal_maps;
+    static constexpr bool has_tilted_coats = has_coat && has_normal_maps;
 
     SVGF_HD Bsdf(const float* tables, const Surface& surface, Vec3 view, const Orientation& oriented)
         : normal(oriented.normal), geometric_normal(oriented.geometric_normal), frame_(oriented.normal) {
@@ -125,6 +129,8 @@ private:
         if constexpr (has_normal_maps) smooth_normal_ = oriented.smooth_normal;
         if constexpr (has_anisotropy) turn_frame(surface);
         view_ = frame_.to_local(view);
+        if constexpr (has_tilted_diffuse) diffuse_normal_ = oriented.diffuse_normal;
+        if constexpr (has_tilted_coats) coat_normal_ = oriented.coat_normal;
         if constexpr (has_transmission) transmits_diffuse_ = material.kind == MaterialKind::translucent;
         if constexpr (!has_specular) {
             diffuse_ = has_diffuse(material.kind) ? material.base_color * surface.weight : Vec3{};
@@ -155,13 +161,15 @@ private:
         const bool is_glossy = material.kind == MaterialKind::glossy;
         const Vec3 base = material.base_color;
         const float cos_view = view_.z;
+        const float cos_diffuse_view = diffuse_is_tilted() ? dot(frame_.to_world(view_), diffuse_normal_) : cos_view;
         const bool gives_back = material.multiscatter > 0.0f;
 
         Vec3 below{surface.weight, surface.weight, surface.weight};
         float sheen_sum = 0, coat_sum = 0;
         if constexpr (has_sheen || has_coat)
             if (is_principled) {
-                const Layers<kernel> layers(tables, material, cos_view);
+                const float cos_coat = coat_is_tilted() ? dot(frame_.to_world(view_), coat_normal_) : cos_view;
+                const Layers<kernel> layers(tables, material, cos_diffuse_view, cos_coat);
                 below = below * layers.below;
                 if constexpr (has_sheen) {
                     sheen_ = layers.sheen;
@@ -239,7 +247,8 @@ private:
             }
         }
         if (has_diffuse(material.kind)) {
-            oren_nayar_ = OrenNayar(transmits_diffuse_ ? 0.0f : material.diffuse_roughness, cos_view, base);
+            const float roughness = transmits_diffuse_ ? 0.0f : material.diffuse_roughness;
+            oren_nayar_ = OrenNayar(roughness, cos_diffuse_view, base);
             diffuse_ = below * base;
             diffuse_albedo += diffuse_ * oren_nayar_.albedo;
         }
@@ -316,6 +325,14 @@ private:
         return plastic_ * fresnel_tinted(fresnel_dielectric(cos_half_view, plastic_eta_), plastic_eta_, plastic_f0_) +
                metal_ * fresnel_metal(metal_f0_, metal_f90_, metal_dip_, cos_half_view);
     }
+    SVGF_HD bool diffuse_is_tilted() const {
+        if constexpr (has_tilted_diffuse) return max_component(abs(diffuse_normal_)) > 0.0f;
+        return false;
+    }
+    SVGF_HD bool coat_is_tilted() const {
+        if constexpr (has_tilted_coats) return max_component(abs(coat_normal_)) > 0.0f;
+        return false;
+    }
     SVGF_HD Vec3 coat_at(float cos_half_view) const {
         const float value = coat_ * fresnel_dielectric(cos_half_view, coat_eta_);
         return {value, value, value};
@@ -346,30 +363,12 @@ private:
     // light: in the local frame, and in the world. side: its cosine with the geometric normal.
     SVGF_HD BsdfValue evaluate_local(Vec3 light, float side, Vec3 world_light) const {
         BsdfValue value;
-        if (!(light.z * side > 0.0f)) return value;
-        const bool above = light.z > 0.0f;
-        float darkening = 1.0f;
-        if constexpr (has_normal_maps) {
-            darkening = bump_shadowing(smooth_normal_, normal, world_light, light.z);
-            if (!(darkening > 0.0f)) return value;
-        }
-        if (above != transmits_diffuse_) {
-            const float cosine = std::fabs(light.z);
-            value.pdf = diffuse_probability_ * (cosine / pi);
-            if constexpr (has_specular)
-                value.diffuse = diffuse_ * oren_nayar_.evaluate(view_.z, cosine, dot(view_, light)) * cosine;
-            else
-                value.diffuse = diffuse_ * (1.0f / pi) * cosine;  // the same to the bit, of no roughness
-            if constexpr (has_normal_maps)
-                if (above) value.diffuse *= darkening;
-        }
+        add_diffuse(light, side, world_light, value);
+        if constexpr (has_tilted_coats)
+            if (coat_is_tilted() && side > 0.0f) add_tilted_coat(world_light, value);
         if constexpr (has_specular) {
-            if (above) {
-                if constexpr (has_sheen) {
-                    const float density = sheen_.density(turned(light, 1.0f));
-                    value.diffuse += sheen_weight_ * (density * darkening);
-                    value.pdf += sheen_probability_ * density;
-                }
+            if (!(light.z * side > 0.0f)) return value;
+            if (light.z > 0.0f) {
                 if (diffuse_probability_ < 1.0f && view_.z > 0.0f) add_reflection(light, value);
             } else if constexpr (has_transmission) {
                 if (!is_glass_smooth() && glass_probability_ > 0.0f) add_refraction(light, value);
@@ -378,11 +377,43 @@ private:
         return value;
     }
 
-    // Rotation of the local frame by the view's azimuth, or back by -1.
-    SVGF_HD Vec3 turned(Vec3 v, float sense) const {
-        const float squared = view_.x * view_.x + view_.y * view_.y;
+    // D and H. What bumps hide they are found by all the same.
+    SVGF_HD void add_diffuse(Vec3 light, float side, Vec3 world_light, BsdfValue& value) const {
+        Vec3 view = view_;
+        if (diffuse_is_tilted()) {
+            const Frame frame(diffuse_normal_);
+            view = frame.to_local(frame_.to_world(view_));
+            light = frame.to_local(world_light);
+        }
+        if (!(light.z * side > 0.0f)) return;
+        const bool above = light.z > 0.0f;
+        float darkening = 1.0f;
+        if constexpr (has_normal_maps)
+            darkening = bump_shadowing(smooth_normal_, diffuse_is_tilted() ? diffuse_normal_ : normal, world_light,
+                                       light.z);
+        if (above != transmits_diffuse_) {
+            const float cosine = std::fabs(light.z);
+            value.pdf = diffuse_probability_ * (cosine / pi);
+            if constexpr (has_specular)
+                value.diffuse = diffuse_ * oren_nayar_.evaluate(view.z, cosine, dot(view, light)) * cosine;
+            else
+                value.diffuse = diffuse_ * (1.0f / pi) * cosine;  // the same to the bit, of no roughness
+            if constexpr (has_normal_maps)
+                if (above || !(darkening > 0.0f)) value.diffuse *= darkening;
+        }
+        if constexpr (has_sheen)
+            if (above) {
+                const float density = sheen_.density(turned(light, view, 1.0f));
+                value.diffuse += sheen_weight_ * (density * darkening);
+                value.pdf += sheen_probability_ * density;
+            }
+    }
+
+    // Rotation of a local frame by the view's azimuth, or back by -1.
+    SVGF_HD static Vec3 turned(Vec3 v, Vec3 view, float sense) {
+        const float squared = view.x * view.x + view.y * view.y;
         if (!(squared > 1e-16f)) return v;
-        const float scale = 1.0f / std::sqrt(squared), c = view_.x * scale, s = view_.y * scale * sense;
+        const float scale = 1.0f / std::sqrt(squared), c = view.x * scale, s = view.y * scale * sense;
         return {c * v.x + s * v.y, c * v.y - s * v.x, v.z};
     }
 
@@ -395,6 +426,7 @@ private:
         SVGF_NO_UNROLL
         for (int i = 0; i < roughnesses; ++i) {
             const bool is_coat = has_coat && i == 1, is_glass = i > int(has_coat);
+            if (is_coat && coat_is_tilted()) continue;
             const Alpha alpha = is_coat ? coat_alpha_ : is_glass ? glass_alpha_ : alpha_;
             const bool is_smooth = alpha.is_smooth();
             if (is_smooth) continue;
@@ -422,6 +454,20 @@ private:
         }
     }
 
+    // The same for a coat whose normal is not that of the other lobes.
+    SVGF_HD void add_tilted_coat(Vec3 world_light, BsdfValue& value) const {
+        if (coat_alpha_.is_smooth() || !(coat_probability_ > 0.0f)) return;
+        const Frame frame(coat_normal_);
+        const Vec3 coat_view = frame.to_local(frame_.to_world(view_)), coat_light = frame.to_local(world_light);
+        if (!(coat_view.z > 0.0f && coat_light.z > 0.0f)) return;
+        const Vec3 half = normalize(coat_view + coat_light);
+        const float spread = ggx_density(half, coat_alpha_) / (4.0f * coat_view.z);
+        const float view_masking = ggx_masking(coat_view, coat_alpha_);
+        value.specular +=
+            coat_at(dot(coat_view, half)) * (spread * 2.0f / (view_masking + ggx_masking(coat_light, coat_alpha_)));
+        value.pdf += coat_probability_ * (spread * 2.0f / (1.0f + view_masking));
+    }
+
     // Microfacets refract light to view [Walter07, Eq. 21]. The Jacobian's (VH + eta LH)^2 is the squared length of
     // V + eta L, which is along H.
     SVGF_HD void add_refraction(Vec3 light, BsdfValue& value) const {
@@ -435,7 +481,7 @@ private:
         const float spread = ggx_density(half, glass_alpha_) * cos_half_view / view_.z * jacobian;
         const GlassEvents events = glass_at(cos_half_view);
         const float view_masking = ggx_masking(view_, glass_alpha_);
-        value.specular = glass_ * events.transmittance *
+        value.specular += glass_ * events.transmittance *
                          (spread * 2.0f / (view_masking + ggx_masking(light, glass_alpha_)));
         value.pdf += glass_probability_ * (1.0f - events.chance) * spread * 2.0f / (1.0f + view_masking);
     }
@@ -449,19 +495,28 @@ private:
         float side = 0;                    // above_surface or below_surface
         bool is_mirror = false;
         Vec3 mirror_weight{};  // of a mirror, over the probability of choosing it
+        bool is_tilted = false;  // the side of the geometric normal alone counts
+
+        SVGF_HD bool is_on_its_side() const { return is_tilted || light.z * side > 0.0f; }
     };
 
     SVGF_HD Event choose_event(Vec2 u, float lobe) const {
         if (lobe < diffuse_probability_) {
             const Vec3 light = sample_cosine_hemisphere(u);
+            if (diffuse_is_tilted()) return tilted_diffuse_event(light);
             if (transmits_diffuse_) return {BsdfEvent::transmission, {light.x, light.y, -light.z}, below_surface};
             return {BsdfEvent::diffuse, light, above_surface};
         }
         if constexpr (has_specular) {
             float rest = lobe - diffuse_probability_;
             if constexpr (has_sheen) {
-                if (rest < sheen_probability_)
-                    return {BsdfEvent::diffuse, turned(sheen_.sample(u), -1.0f), above_surface};
+                if (rest < sheen_probability_) {
+                    if (diffuse_is_tilted()) {
+                        const Vec3 view = Frame(diffuse_normal_).to_local(frame_.to_world(view_));
+                        return tilted_diffuse_event(turned(sheen_.sample(u), view, -1.0f));
+                    }
+                    return {BsdfEvent::diffuse, turned(sheen_.sample(u), view_, -1.0f), above_surface};
+                }
                 rest -= sheen_probability_;
             }
             const bool is_specular = rest < specular_probability_;
@@ -478,6 +533,8 @@ private:
             if (is_specular)
                 return {BsdfEvent::glossy, reflected, above_surface, smooth,
                         specular_at(view_.z) / specular_probability_};
+            if constexpr (has_tilted_coats)
+                if (is_coat && coat_is_tilted()) return choose_tilted_coat(u);
             if constexpr (has_coat)
                 if (is_coat)
                     return {BsdfEvent::glossy, reflected, above_surface, smooth, coat_at(view_.z) / coat_probability_};
@@ -495,13 +552,32 @@ private:
         return {};
     }
 
+    // light: in the frame of the diffuse normal.
+    SVGF_HD Event tilted_diffuse_event(Vec3 light) const {
+        const Vec3 local = frame_.to_local(Frame(diffuse_normal_).to_world(light));
+        return {BsdfEvent::diffuse, local, above_surface, false, {}, true};
+    }
+
+    SVGF_HD Event choose_tilted_coat(Vec2 u) const {
+        const Frame frame(coat_normal_);
+        const Vec3 coat_view = frame.to_local(frame_.to_world(view_));
+        const bool smooth = coat_alpha_.is_smooth();
+        const Vec3 half = smooth ? Vec3{0, 0, 1} : sample_visible_normal(coat_view, coat_alpha_, u);
+        const Vec3 light = reflect(coat_view, half);
+        if (!(coat_view.z > 0.0f && light.z > 0.0f)) return {};
+        return {BsdfEvent::glossy, frame_.to_local(frame.to_world(light)), above_surface, smooth,
+                coat_at(coat_view.z) / coat_probability_, true};
+    }
+
     // A microfacet may send light to the wrong side. That light is lost: evaluated there, it would pass for what the
     // other event sends.
     SVGF_HD BsdfSample finish(const Event& event) const {
         BsdfSample result;
-        if (!(event.light.z * event.side > 0.0f)) return result;
+        if (!event.is_on_its_side()) return result;
         result.direction = normalize(frame_.to_world(event.light));
-        result.weight = evaluate_local(event.light, dot(geometric_normal, result.direction), result.direction);
+        const float side = dot(geometric_normal, result.direction);
+        if (event.is_tilted && !(side * event.side > 0.0f)) return result;
+        result.weight = evaluate_local(event.light, side, result.direction);
         if (!(result.weight.pdf > 0.0f)) {
             result.weight = {};
             return result;
@@ -517,7 +593,7 @@ private:
         result.direction = normalize(frame_.to_world(event.light));
         result.delta = true;
         const float side = dot(geometric_normal, result.direction);
-        if (!(event.light.z * event.side > 0.0f && side * event.side > 0.0f)) return result;
+        if (!(event.is_on_its_side() && side * event.side > 0.0f)) return result;
         result.weight.specular = event.mirror_weight;
         result.event = event.kind;
         return result;
@@ -527,6 +603,7 @@ private:
     Vec3 view_;  // local, as are all directions below
     Vec3 smooth_normal_;
     Vec3 diffuse_;  // weights of the lobes, with all factors but Fresnel's terms
+    Vec3 diffuse_normal_;  // in the world; 0: that of the other lobes
     bool transmits_diffuse_ = false;
     OrenNayar oren_nayar_;
     Sheen sheen_;
@@ -537,6 +614,7 @@ private:
     Vec3 metal_, metal_f0_, metal_f90_, metal_dip_;
     float coat_ = 0, coat_eta_ = 1;
     Alpha coat_alpha_;
+    Vec3 coat_normal_;  // as diffuse_normal_
     Vec3 glass_, glass_f0_, reflection_tint_, transmission_tint_;
     float glass_eta_ = 1;  // IOR beyond the surface over IOR on the viewer's side
     Alpha glass_alpha_;

@@ -22,11 +22,13 @@ SVGF_HD inline Vec2 equirectangular_uv(Vec3 direction) {
             0.5f + std::atan2(direction.z, std::sqrt(direction.x * direction.x + direction.y * direction.y)) / pi};
 }
 
-SVGF_HD inline Vec3 environment_radiance(const SceneView& scene, Vec3 direction) {
+SVGF_HD inline Vec3 environment_radiance(const SceneView& scene, Vec3 direction, bool is_backdrop = false) {
     const WorldView& world = scene.world;
-    if (world.texture < 0) return world.radiance;
+    const Vec3 radiance = is_backdrop ? world.backdrop_radiance : world.radiance;
+    const std::int32_t texture = is_backdrop ? world.backdrop_texture : world.texture;
+    if (texture < 0) return radiance;
     const Vec2 uv = equirectangular_uv(rotate(world.to_environment, direction));
-    return world.radiance * sample_texture(scene.textures[world.texture], uv).xyz();
+    return radiance * sample_texture(scene.textures[texture], uv).xyz();
 }
 
 // The i with cdf[i] <= u < cdf[i + 1], of `count` intervals. u becomes the place within it, in [0, 1).

@@ -38,6 +38,11 @@ struct Sheen {
     static constexpr float smallest_roughness = 0.01f;
 };
 
+// Whether the coat is smooth over a base that a normal map bends.
+SVGF_HD inline bool has_smooth_coat_normal(const Material& material) {
+    return material.normal_uv_layer >= 0 && !material.coat_normal_mapped;
+}
+
 template <Effects kernel>
 struct Layers {
     Vec3 below{1, 1, 1};  // share of light that reaches the base and comes back, and of what the base emits
@@ -48,12 +53,12 @@ struct Layers {
     float coat_eta = 1;
     Alpha coat_alpha;
 
-    // cos_view: with the shading normal. material: a Principled BSDF.
-    SVGF_HD Layers(const float* tables, const Material& material, float cos_view) {
+    // cos_sheen, cos_coat: of the view with the normals of sheen and coat. material: a Principled BSDF.
+    SVGF_HD Layers(const float* tables, const Material& material, float cos_sheen, float cos_coat) {
         float share = 1.0f;
         if constexpr (covers(kernel, Effects::sheen))
             if (material.sheen_weight > 0.0f) {
-                sheen = Sheen(tables, cos_view, material.sheen_roughness);
+                sheen = Sheen(tables, cos_sheen, material.sheen_roughness);
                 sheen_weight = material.sheen_tint * (material.sheen_weight * sheen.albedo);
                 share = saturate(1.0f - max_component(sheen_weight));
                 below = {share, share, share};
@@ -64,15 +69,15 @@ struct Layers {
                 coat_eta = max(material.coat_ior, 1.0f);
                 coat_alpha = {square(roughness), square(roughness)};
                 const float f0 = normal_reflectance(coat_eta);
-                const float energy = look_up_albedo(tables, energy_table, roughness, cos_view);
+                const float energy = look_up_albedo(tables, energy_table, roughness, cos_coat);
                 const float factor = given_back(energy, look_up_albedo(tables, mean_energy_table, roughness),
                                                 dielectric_mean(coat_eta));
-                const float single = lerp(f0, 1.0f, dielectric_share(tables, roughness, cos_view, coat_eta));
+                const float single = lerp(f0, 1.0f, dielectric_share(tables, roughness, cos_coat, coat_eta));
                 coat_weight = material.coat_weight * share * factor;
                 coat_albedo = coat_weight * energy * single;
                 const float passed = saturate(1.0f - material.coat_weight * factor * energy * single);
                 // Beer's law along the refracted ray; the tint is that of a ray along the normal.
-                const float inside = std::sqrt(1.0f - (1.0f - square(saturate(cos_view))) / square(coat_eta));
+                const float inside = std::sqrt(1.0f - (1.0f - square(saturate(cos_coat))) / square(coat_eta));
                 const float depth = 1.0f / max(inside, 1e-6f);
                 const Vec3 absorbed{std::pow(material.coat_tint.x, depth), std::pow(material.coat_tint.y, depth),
                                     std::pow(material.coat_tint.z, depth)};

@@ -292,14 +292,16 @@ private:
             return;
         }
         if (!(scene.world.visibility & path.ray.kind)) return;
+        const bool is_backdrop = path.ray.kind == ray_kind::camera;
         if constexpr (covers(kernel, Effects::environment_map)) {
             const std::int32_t row = scene.world.light;
-            add_found(light, path, environment_radiance(scene, path.ray.direction), [&] {
+            add_found(light, path, environment_radiance(scene, path.ray.direction, is_backdrop), [&] {
                 return row < 0 ? 0.0f
                                : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
             });
         } else {
-            add(light, path.throughput * scene.world.radiance, path.diffuse_share, path.bounces, path.links);
+            const Vec3 radiance = is_backdrop ? scene.world.backdrop_radiance : scene.world.radiance;
+            add(light, path.throughput * radiance, path.diffuse_share, path.bounces, path.links);
         }
     }
 

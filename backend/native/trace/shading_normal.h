@@ -15,6 +15,8 @@ constexpr float smallest_cos_view = 0.01f;
 struct Orientation {
     Vec3 normal, geometric_normal, smooth_normal;  // on the viewer's side; smooth: before the normal map
     bool entering;                                 // the viewer is outside
+    // Under a kernel with normal maps, where the material has one: of these lobes, which differ from `normal`. Else 0.
+    Vec3 diffuse_normal, coat_normal;
 };
 
 // The normal, turned towards the geometric one just as far as the mirror image of the view needs to be above the
@@ -35,6 +37,13 @@ SVGF_HD inline Vec3 make_reflection_valid(Vec3 normal, Vec3 geometric_normal, Ve
     return x * std::sqrt(1.0f - z2) + geometric_normal * std::sqrt(z2);
 }
 
+// The same for a lobe that mirrors, which also needs the viewer above its horizon.
+SVGF_HD inline Vec3 make_reflecting(Vec3 normal, Vec3 geometric_normal, Vec3 view) {
+    normal = make_reflection_valid(normal, geometric_normal, view);
+    const float cosine = dot(normal, view);
+    return cosine < smallest_cos_view ? normalize(normal + view * (smallest_cos_view - cosine)) : normal;
+}
+
 // Whether a material has any lobe that mirrors, whose normal must then keep mirrored views above the surface.
 SVGF_HD inline bool has_reflection(const Material& material) {
     if (material.kind != MaterialKind::principled)
@@ -47,7 +56,7 @@ SVGF_HD inline bool has_reflection(const Material& material) {
 template <Effects kernel>
 SVGF_HD Orientation orient(const Surface& surface, Vec3 view) {
     Orientation result{surface.shading_normal, surface.geometric_normal, {},
-                       dot(surface.geometric_normal, view) > 0.0f};
+                       dot(surface.geometric_normal, view) > 0.0f, {}, {}};
     if (dot(result.geometric_normal, view) < 0.0f) result.geometric_normal = -result.geometric_normal;
     if (dot(result.normal, result.geometric_normal) < 0.0f) result.normal = -result.normal;
     if constexpr (covers(kernel, Effects::normal_maps)) {
@@ -56,11 +65,16 @@ SVGF_HD Orientation orient(const Surface& surface, Vec3 view) {
     }
     if constexpr (covers(kernel, Effects::specular))
         if (has_reflection(surface.material)) {
-            result.normal = make_reflection_valid(result.normal, result.geometric_normal, view);
-            const float cosine = dot(result.normal, view);
-            if (cosine < smallest_cos_view)
-                result.normal = normalize(result.normal + view * (smallest_cos_view - cosine));
+            const Vec3 mapped = result.normal;
+            result.normal = make_reflecting(mapped, result.geometric_normal, view);
+            // Reflections must stay above the surface; what a normal map makes of diffuse light may be below.
+            if constexpr (covers(kernel, Effects::normal_maps))
+                if (surface.material.normal_uv_layer >= 0 && max_component(abs(result.normal - mapped)) > 0.0f)
+                    result.diffuse_normal = mapped;
         }
+    if constexpr (covers(kernel, Effects::normal_maps) && covers(kernel, Effects::coat))
+        if (surface.material.coat_weight > 0.0f && has_smooth_coat_normal(surface.material))
+            result.coat_normal = make_reflecting(result.smooth_normal, result.geometric_normal, view);
     return result;
 }
 

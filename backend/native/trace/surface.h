@@ -149,28 +149,54 @@ SVGF_HD inline UvAxes find_uv_axes(const MeshView& mesh, std::int32_t layer, con
     return {area > 0.0f ? along : -along, area < 0.0f};
 }
 
-// Turns the shading normal by the normal map. object_normal: interpolated, of any length. The tangent is that of the
-// triangle, made
-// perpendicular to the interpolated normal.
-SVGF_HD inline void apply_normal_map(const Instance& instance, const UvAxes& axes, Vec3 object_normal,
-                                     Surface& surface) {
+// The mesh's own tangent of a UV layer, with the side of V; 0 where it has none.
+SVGF_HD inline Vec4 find_mesh_tangent(const MeshView& mesh, std::int32_t layer, const Hit& hit) {
+    if (!mesh.tangents || layer != mesh.tangent_layer) return {};
+    const CornerTangents tangents = load(mesh.tangents + hit.leaf_triangle);
+    return tangents.corner[0] * (1.0f - hit.weight1 - hit.weight2) + tangents.corner[1] * hit.weight1 +
+           tangents.corner[2] * hit.weight2;
+}
+
+// What a normal map is relative to, in object space. normal: interpolated, of any length. With tangents of the mesh's
+// own, all three stay as they are interpolated [Mikkelsen08]; that of a triangle is made perpendicular to the normal.
+struct NormalMapAxes {
+    Vec3 tangent, bitangent, normal;
+
+    SVGF_HD NormalMapAxes(const MeshView& mesh, std::int32_t layer, const Hit& hit, Vec3 edge1, Vec3 edge2,
+                          Vec3 object_normal)
+        : normal(object_normal) {
+        const Vec4 own = find_mesh_tangent(mesh, layer, hit);
+        tangent = own.xyz();
+        float side = own.w;
+        if (!(max_component(abs(tangent)) > 0.0f)) {
+            const UvAxes axes = find_uv_axes(mesh, layer, hit, edge1, edge2);
+            normal = normalize_any_length(object_normal);
+            tangent = normalize_any_length(axes.tangent - normal * dot(normal, axes.tangent));
+            side = axes.mirrored ? -1.0f : 1.0f;
+        }
+        bitangent = cross(normal, tangent) * side;
+    }
+};
+
+// Turns the shading normal by the normal map.
+SVGF_HD inline void apply_normal_map(const Instance& instance, const NormalMapAxes& axes, Surface& surface) {
     const Material& material = surface.material;
-    const Vec3 n = normalize_any_length(object_normal);
-    const Vec3 tangent = normalize_any_length(axes.tangent - n * dot(n, axes.tangent));
-    if (!(max_component(abs(tangent)) > 0.0f)) return;
-    const Vec3 bitangent = cross(n, tangent) * (axes.mirrored ? -1.0f : 1.0f);
+    if (!(max_component(abs(axes.tangent)) > 0.0f)) return;
     const float x = (2.0f * material.normal.x - 1.0f) * material.normal_strength;
     const float y = (2.0f * material.normal.y - 1.0f) * material.normal_strength;
     const float z = lerp(1.0f, 2.0f * material.normal.z - 1.0f, saturate(material.normal_strength));
-    const Vec3 mapped = transform_normal(instance.world_to_object, tangent * x + bitangent * y + n * z);
+    const Vec3 mapped = transform_normal(instance.world_to_object,
+                                         axes.tangent * x + axes.bitangent * y + axes.normal * z);
     if (is_finite(mapped) && max_component(abs(mapped)) > 0.0f) surface.shading_normal = normalize_any_length(mapped);
 }
 
-// Tangent of anisotropy: the U axis of a UV layer, or without one Blender's default, circles around the object's Z axis
+// Tangent of anisotropy: that of a UV layer, or without one Blender's default, circles around the object's Z axis
 // through the middle of its box.
 SVGF_HD inline Vec3 find_tangent(const MeshView& mesh, const Hit& hit, const LeafTriangle& triangle,
                                  const Instance& instance, const Mat34& to_world, Vec3 object_position,
                                  std::int32_t layer) {
+    const Vec3 own = find_mesh_tangent(mesh, layer, hit).xyz();
+    if (max_component(abs(own)) > 0.0f) return transform_vector(to_world, own);
     const UvAxes axes = find_uv_axes(mesh, layer, hit, triangle.vertex1 - triangle.vertex0,
                                      triangle.vertex2 - triangle.vertex0);
     if (max_component(abs(axes.tangent)) > 0.0f) return transform_vector(to_world, axes.tangent);
@@ -263,8 +289,7 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
     if constexpr (covers(kernel, Effects::normal_maps)) {
         surface.smooth_normal = surface.shading_normal;
         if (material.normal_uv_layer >= 0)
-            apply_normal_map(instance, find_uv_axes(mesh, material.normal_uv_layer, hit, edge1, edge2), object_normal,
-                             surface);
+            apply_normal_map(instance, {mesh, material.normal_uv_layer, hit, edge1, edge2, object_normal}, surface);
     }
     if constexpr (covers(kernel, Effects::anisotropy))
         if (material.anisotropic != 0.0f)
@@ -272,9 +297,14 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
                                            material.tangent_uv_layer);
     surface.emission = material.emission;
     if constexpr (covers(kernel, Effects::coat) || covers(kernel, Effects::sheen))
-        if (max_component(surface.emission) > 0.0f && material.kind == MaterialKind::principled)
-            surface.emission = surface.emission * Layers<kernel>(scene.albedo_tables, material,
-                                                                 std::fabs(dot(surface.shading_normal, view))).below;
+        if (max_component(surface.emission) > 0.0f && material.kind == MaterialKind::principled) {
+            const float cos_view = std::fabs(dot(surface.shading_normal, view));
+            float cos_coat = cos_view;
+            if constexpr (covers(kernel, Effects::normal_maps))
+                if (has_smooth_coat_normal(material)) cos_coat = std::fabs(dot(surface.smooth_normal, view));
+            const Layers<kernel> layers(scene.albedo_tables, material, cos_view, cos_coat);
+            surface.emission = surface.emission * layers.below;
+        }
     if constexpr (covers(kernel, Effects::alpha)) {
         const Opacity found = find_opacity(material);
         surface.emission *= found.opacity;

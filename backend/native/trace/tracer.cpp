@@ -96,6 +96,7 @@ Material material_from(const float* row) {
     material.map_count = std::int32_t(row[41]);
     material.tangent_uv_layer = std::int32_t(row[42]);
     material.alpha_map = -1;
+    material.coat_normal_mapped = row[47] > 0.0f;
     return material;
 }
 
@@ -356,6 +357,9 @@ void Tracer::set_world(const World& arrays) {
     view.radiance = cleaned_color({arrays.radiance[0], arrays.radiance[1], arrays.radiance[2]});
     view.visibility = arrays.visibility;
     view.texture = std::max(arrays.texture, -1);
+    const auto& backdrop = arrays.backdrop_radiance;
+    view.backdrop_radiance = cleaned_color({backdrop[0], backdrop[1], backdrop[2]});
+    view.backdrop_texture = std::max(arrays.backdrop_texture, -1);
     view.light = arrays.light;
     for (int row = 0; row < 3; ++row)
         view.to_environment[row] = {arrays.to_environment[std::size_t(3 * row)],
@@ -411,7 +415,8 @@ std::vector<Image> Tracer::trace(const Frame& frame) {
            "There must be at least one sample, and no negative bounces.");
     expect(std::size_t(largest_emitter_ + 1) <= emitters_.size(), "An instance names an emitter that is not there.");
     expect(scene_.world.light < scene_.lights.count, "The world names a light that is not there.");
-    expect(std::size_t(std::max(largest_texture_, scene_.world.texture) + 1) <= textures_.size(),
+    const std::int32_t world_texture = std::max(scene_.world.texture, scene_.world.backdrop_texture);
+    expect(std::size_t(std::max(largest_texture_, world_texture) + 1) <= textures_.size(),
            "A light or the world names a texture that is not there.");
     expect(std::size_t(largest_material_ + 1) <= materials_.size(),
            "The material table names a material that is not there.");

@@ -72,6 +72,8 @@ public:
         std::array<float, 3> radiance{};
         std::uint32_t visibility = 0;
         std::int32_t texture = -1;                  // index into the textures of set_materials
+        std::array<float, 3> backdrop_radiance{};   // the same two for the camera's rays
+        std::int32_t backdrop_texture = -1;
         std::int32_t light = -1;                    // the environment's row of the lights
         std::array<float, 9> to_environment{};      // by rows
         std::int32_t rows = 0, columns = 0;         // 0: directions are not sampled by the image

@@ -10,7 +10,8 @@ that GGX loses between microfacets, each lobe is given back what Fresnel's term 
 
 All arrays have one row per ray. V is the direction to the viewer, L the sampled one; both point away from the surface.
 Local directions are in a frame whose Z is the shading normal N and whose X is the tangent. What lies on the wrong side
-of the geometric normal Ng is black.
+of the geometric normal Ng is black. Under a normal map D and H have the map's normal, of which S and G take what keeps
+their reflections above the surface, and C the smooth one unless told otherwise: such lobes are tilted.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from ..scene import MaterialKind
 from .albedo import dielectric_share, lookup
 from .diffuse import oren_nayar, oren_nayar_terms
-from .layers import column, make_layers
+from .layers import column, has_smooth_coat_normal, make_layers
 from .microfacet import (
     dielectric_mean,
     fresnel_dielectric,
@@ -53,7 +54,8 @@ NONE, DIFFUSE, GLOSSY, TRANSMISSION = range(4)
 class Bsdf:
     """One material at each hit. Colours [n, 3], the rest [n], alpha [n, 2].
 
-    x, y, z: axes of the local frame; z is N. smooth_normal: N before the normal map.
+    x, y, z: axes of the local frame; z is N. smooth_normal: N before the normal map. diffuse_normal, coat_normal: of D
+    and C; tilted_diffuse, tilted_coat: whether they are not N.
     diffuse, plastic, metal, glass: weights of the lobes, with all factors but those below. oren_nayar_*: see
     oren_nayar. transmits_diffuse: D is in transmission. plastic_f0, plastic_eta, metal_f0, metal_f90, metal_dip: of
     Fresnel's terms. glass_eta: IOR beyond the surface over that on the viewer's side. refracts_only: G without
@@ -67,6 +69,10 @@ class Bsdf:
     z: np.ndarray
     geometric_normal: np.ndarray
     smooth_normal: np.ndarray
+    diffuse_normal: np.ndarray
+    tilted_diffuse: np.ndarray
+    coat_normal: np.ndarray
+    tilted_coat: np.ndarray
     roughness: np.ndarray
     diffuse: np.ndarray
     transmits_diffuse: np.ndarray
@@ -160,11 +166,17 @@ def make_bsdf(
     smooth_normal = flipped if smooth_normal is None else flip_towards(smooth_normal, geometric_normal)
     reflecting = raise_viewer(valid_reflection(flipped, geometric_normal, view), view)
     normal = np.where(has_specular[:, None], reflecting, flipped)
+    # Reflections must stay above the surface; what a normal map makes of diffuse light may be below.
+    tilted_diffuse = (column(rows, "normal_uv_layer") >= 0) & (normal != flipped).any(axis=1)
+    diffuse_normal = np.where(tilted_diffuse[:, None], flipped, normal)
     anisotropic = np.where(is_principled | is_glossy, column(rows, "anisotropic"), 0.0)
     x, y = _tangent_frame(normal, tangent, column(rows, "anisotropic_rotation"), anisotropic != 0.0)
     cos_view = dot(normal, view)
 
-    layers = make_layers(rows, cos_view)
+    smooth_coat_normal = raise_viewer(valid_reflection(smooth_normal, geometric_normal, view), view)
+    tilted_coat = is_principled & has_smooth_coat_normal(rows) & (column(rows, "coat_weight") > 0.0)
+    coat_normal = np.where(tilted_coat[:, None], smooth_coat_normal, normal)
+    layers = make_layers(rows, dot(diffuse_normal, view), dot(coat_normal, view))
     below = layers.below * np.broadcast_to(weight, kind.shape)[:, None]
     n = len(rows)
     ones = np.ones((n, 3))
@@ -220,7 +232,7 @@ def make_bsdf(
     diffuse_share = np.where(has_diffuse, (1.0 - metallic) * (1.0 - transmission) * (1.0 - taken), 0.0)
     diffuse = below * diffuse_share[:, None] * base
     a, b, multiple, diffuse_scale = oren_nayar_terms(np.where(is_translucent, 0.0, column(rows, "diffuse_roughness")),
-                                                      cos_view, base)  # fmt: skip
+                                                      dot(diffuse_normal, view), base)  # fmt: skip
     diffuse_albedo = diffuse * diffuse_scale
     sheen = layers.sheen * np.broadcast_to(weight, kind.shape)[:, None]
     coat = layers.coat * weight
@@ -245,6 +257,10 @@ def make_bsdf(
         z=normal,
         geometric_normal=geometric_normal,
         smooth_normal=smooth_normal,
+        diffuse_normal=diffuse_normal,
+        tilted_diffuse=tilted_diffuse,
+        coat_normal=coat_normal,
+        tilted_coat=tilted_coat,
         roughness=roughness,
         diffuse=diffuse,
         transmits_diffuse=is_translucent,
@@ -354,7 +370,7 @@ def smooth_bounce(bsdf: Bsdf) -> SmoothBounce:
     reflectance, transmittance, _ = glass_events(bsdf, cosine)
     has_glass = (bsdf.smooth_glass & (bsdf.probability[:, 4] > 0.0))[:, None]
     reflected = np.where(bsdf.smooth[:, None], specular_at(bsdf, cosine), 0.0)
-    reflected = reflected + np.where(bsdf.smooth_coat, coat_at(bsdf, cosine), 0.0)[:, None]
+    reflected = reflected + np.where(bsdf.smooth_coat & ~bsdf.tilted_coat, coat_at(bsdf, cosine), 0.0)[:, None]
     reflected = reflected + np.where(has_glass, bsdf.glass * reflectance, 0.0)
     refracted = np.where(has_glass, bsdf.glass * transmittance, 0.0)
     rough = np.maximum(bsdf.specular_albedo - reflected - refracted, 0.0)
@@ -385,20 +401,26 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     local, view = bsdf.to_local(light), bsdf.to_local(bsdf.view)
     cos_light = local[:, 2]
     side = dot(bsdf.geometric_normal, light)
-    hidden, darkening = bump_shadowing(bsdf.smooth_normal, bsdf.normal, light)
-    above = (cos_light > 0.0) & (side > 0.0) & ~hidden
-    below = (cos_light < 0.0) & (side < 0.0) & ~hidden
+    above, below = (cos_light > 0.0) & (side > 0.0), (cos_light < 0.0) & (side < 0.0)
     of_diffuse, of_sheen, of_specular, of_coat, of_glass = bsdf.probability.T
 
-    lit = np.where(bsdf.transmits_diffuse, below, above)
-    cosine = np.where(lit, np.abs(cos_light), 0.0)
-    darkening = np.where(bsdf.transmits_diffuse, 1.0, darkening)
-    reflected = oren_nayar(bsdf.oren_nayar_a, bsdf.oren_nayar_b, bsdf.oren_nayar_multiple, view, local)
+    diffuse_view, diffuse_light = (
+        _to_lobe(bsdf, vector, bsdf.diffuse_normal, bsdf.tilted_diffuse) for vector in (bsdf.view, light)
+    )
+    hidden, darkening = bump_shadowing(bsdf.smooth_normal, bsdf.diffuse_normal, light)
+    cosine = diffuse_light[:, 2]
+    diffuse_above = (cosine > 0.0) & (side > 0.0)
+    lit = np.where(bsdf.transmits_diffuse, (cosine < 0.0) & (side < 0.0), diffuse_above)
+    cosine = np.where(lit, np.abs(cosine), 0.0)
+    darkening = np.where(hidden, 0.0, np.where(bsdf.transmits_diffuse, 1.0, darkening))
+    reflected = oren_nayar(
+        bsdf.oren_nayar_a, bsdf.oren_nayar_b, bsdf.oren_nayar_multiple, diffuse_view, diffuse_light
+    )
     diffuse = bsdf.diffuse * reflected * (cosine * darkening)[:, None]
     pdf = of_diffuse * cosine / np.pi
 
-    density = np.where(above, sheen_density(bsdf, local, view), 0.0)
-    diffuse = diffuse + bsdf.sheen * (density * np.where(above, darkening, 1.0))[:, None]
+    density = np.where(diffuse_above, sheen_density(bsdf, diffuse_light, diffuse_view), 0.0)
+    diffuse = diffuse + bsdf.sheen * (density * darkening)[:, None]
     pdf = pdf + of_sheen * density
 
     # Reflection at microfacets: D G2 / (4 NV NL) times NL.
@@ -406,10 +428,8 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     cos_half_view = dot(view, half)
     specular = np.zeros_like(diffuse)
     reflectance, transmittance, chance = glass_events(bsdf, cos_half_view)
-    coat = np.repeat(coat_at(bsdf, cos_half_view)[:, None], 3, axis=1)
     for value, probability, alpha, smooth in (
         (specular_at(bsdf, cos_half_view), of_specular, bsdf.alpha, bsdf.smooth),
-        (coat, of_coat, _uniform(bsdf.coat_alpha), bsdf.smooth_coat),
         (bsdf.glass * reflectance, of_glass * chance, _uniform(bsdf.glass_alpha), bsdf.smooth_glass),
     ):
         lambda_view, lambda_light = ggx_lambda(view, alpha), ggx_lambda(local, alpha)
@@ -417,6 +437,21 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
             spread = np.where(above & ~smooth, ggx_density(half, alpha) / (4.0 * view[:, 2]), 0.0)
         specular = specular + value * (spread / (1.0 + lambda_view + lambda_light))[:, None]
         pdf = pdf + probability * spread / (1.0 + lambda_view)
+
+    # The coat's, by its own normal; of the side of Ng alone where that is not N.
+    coat_view, coat_light = (
+        _to_lobe(bsdf, vector, bsdf.coat_normal, bsdf.tilted_coat) for vector in (bsdf.view, light)
+    )
+    coat_half = normalize(coat_view + coat_light)
+    lit = np.where(bsdf.tilted_coat, (side > 0.0) & (coat_light[:, 2] > 0.0), above)
+    alpha = _uniform(bsdf.coat_alpha)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = ggx_density(coat_half, alpha) / (4.0 * coat_view[:, 2])
+    spread = np.where(lit & ~bsdf.smooth_coat & (coat_view[:, 2] > 0.0), spread, 0.0)
+    lambda_view, lambda_light = ggx_lambda(coat_view, alpha), ggx_lambda(coat_light, alpha)
+    coat = coat_at(bsdf, dot(coat_view, coat_half)) * spread / (1.0 + lambda_view + lambda_light)
+    specular = specular + coat[:, None]
+    pdf = pdf + of_coat * spread / (1.0 + lambda_view)
 
     # Refraction at microfacets [Walter07, Eq. 21] with the Jacobian of the half vector, Eq. 17.
     eta = bsdf.glass_eta
@@ -434,6 +469,20 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     specular = specular + bsdf.glass * transmittance * (spread / (1.0 + lambda_view + lambda_light))[:, None]
     pdf = pdf + of_glass * (1.0 - chance) * spread / (1.0 + lambda_view)
     return diffuse, specular, pdf
+
+
+def _to_lobe(bsdf: Bsdf, vector: np.ndarray, normal: np.ndarray, tilted: np.ndarray) -> np.ndarray:
+    """Local vectors in the frame of a lobe whose normal is not N where it is tilted."""
+    x, y = frame(normal)
+    own = np.stack([dot(vector, axis) for axis in (x, y, normal)], axis=1)
+    return np.where(tilted[:, None], own, bsdf.to_local(vector))
+
+
+def _from_lobe(bsdf: Bsdf, local: np.ndarray, normal: np.ndarray, tilted: np.ndarray) -> np.ndarray:
+    """World vectors, the inverse."""
+    x, y = frame(normal)
+    own = local[:, 0:1] * x + local[:, 1:2] * y + local[:, 2:3] * normal
+    return np.where(tilted[:, None], own, bsdf.to_world(local))
 
 
 def _turned(vector: np.ndarray, view: np.ndarray, back: bool = False) -> np.ndarray:
@@ -489,7 +538,9 @@ def sample(bsdf: Bsdf, uv: np.ndarray, lobe: np.ndarray) -> BsdfSample:
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = (lobe - ends[:, 3]) / bsdf.probability[:, 4]
 
-    view = bsdf.to_local(bsdf.view)
+    lobe_normal = np.where(of_coat[:, None], bsdf.coat_normal, bsdf.diffuse_normal)
+    tilted = np.where(of_coat, bsdf.tilted_coat, bsdf.tilted_diffuse & (of_diffuse | of_sheen))
+    view = _to_lobe(bsdf, bsdf.view, lobe_normal, tilted)
     alpha = np.where(of_coat[:, None], _uniform(bsdf.coat_alpha), bsdf.alpha)
     alpha = np.where(of_glass[:, None], _uniform(bsdf.glass_alpha), alpha)
     mirror = np.select([of_specular, of_coat, of_glass], [bsdf.smooth, bsdf.smooth_coat, bsdf.smooth_glass], False)
@@ -505,7 +556,7 @@ def sample(bsdf: Bsdf, uv: np.ndarray, lobe: np.ndarray) -> BsdfSample:
     light = np.where(of_diffuse[:, None], cosine, light)
     light = np.where(of_sheen[:, None], sample_sheen(bsdf, view, uv), light)
     cos_light = light[:, 2]
-    light = normalize(bsdf.to_world(light))
+    light = normalize(_from_lobe(bsdf, light, lobe_normal, tilted))
 
     # A microfacet can reflect below the horizon or refract above it. Such a direction is lost: the densities of the
     # other kind of event, which do reach it, do not count this one.

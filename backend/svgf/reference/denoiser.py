@@ -23,6 +23,7 @@ from .device import Device
 from .guides import Guides, luminance, namespace, repair_guides
 from .modulate import modulate
 from .reprojection import reproject
+from .resample import resample
 from .temporal import History, temporal
 from .temporal_plus import Fireflies, HistoryPlus, temporal_plus
 from .variance import variance
@@ -63,6 +64,14 @@ class Denoiser:
     def set_settings(self, settings: dict[str, float]) -> None:
         """Takes effect at the next frame; history stays."""
         self.settings = DenoiseSettings.from_dict(settings)
+
+    def resize(self, width: int, height: int) -> None:
+        """The next frame is of another size; history goes on in it."""
+        if self.history is not None:
+            with self._device.stage("resample"):
+                self.history = resample(self.history, width, height)
+                self.resolved = self.resolved and resample(self.resolved, width, height)
+        self.width, self.height = width, height
 
     def repaired(self) -> int:
         """How many values of the last frame's images and history were no numbers or out of range."""

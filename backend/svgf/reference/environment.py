@@ -10,25 +10,32 @@ from .texture import Texture
 
 
 class World:
-    """Columns of FlatScene. image: the environment's, or None."""
+    """Columns of FlatScene. image, backdrop_image: the environments', or None."""
 
     def __init__(
         self, radiance=(0.0, 0.0, 0.0), visibility=int(RayVisibility.ALL), image: Texture | None = None, light=-1,
-        to_environment=np.eye(3), row_cdf=(), column_cdf=(),
+        to_environment=np.eye(3), row_cdf=(), column_cdf=(), backdrop_radiance=(0.0, 0.0, 0.0),
+        backdrop_image: Texture | None = None,
     ) -> None:  # fmt: skip
         self.constant = np.asarray(radiance, dtype=np.float64)
         self.visibility = int(visibility)
         self.image = image
+        self.backdrop = np.asarray(backdrop_radiance, dtype=np.float64), backdrop_image
         self.light = light
         self.rotation = np.asarray(to_environment, dtype=np.float64).reshape(3, 3)
         self.row_cdf = np.asarray(row_cdf, dtype=np.float64)
         self.column_cdf = np.asarray(column_cdf, dtype=np.float64)
 
-    def radiance(self, direction: np.ndarray) -> np.ndarray:
-        """[n, 3] of unit directions [n, 3]."""
-        if self.image is None:
-            return np.broadcast_to(self.constant, direction.shape)
-        return self.constant * self.image.lookup(equirectangular_uv(direction @ self.rotation.T))[:, :3]
+    def radiance(self, direction: np.ndarray, kind: np.ndarray | int = 0) -> np.ndarray:
+        """[n, 3] of unit directions [n, 3]. kind: of the rays, of RayVisibility."""
+        lighting = self._picture(direction, self.constant, self.image)
+        is_camera = np.broadcast_to(np.asarray(kind) == RayVisibility.CAMERA, len(direction))[:, None]
+        return np.where(is_camera, self._picture(direction, *self.backdrop), lighting)
+
+    def _picture(self, direction: np.ndarray, constant: np.ndarray, image: Texture | None) -> np.ndarray:
+        if image is None:
+            return np.broadcast_to(constant, direction.shape)
+        return constant * image.lookup(equirectangular_uv(direction @ self.rotation.T))[:, :3]
 
     def density(self, direction: np.ndarray) -> np.ndarray:
         """[n]: with which ``sample`` finds unit directions."""

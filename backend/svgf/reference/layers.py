@@ -39,13 +39,18 @@ class Layers:
     coat_albedo: np.ndarray
 
 
-def make_layers(rows: np.ndarray, cos_view: np.ndarray) -> Layers:
-    """rows: [n, 48] of materials, maps applied. cos_view: [n], N.V."""
+def has_smooth_coat_normal(rows: np.ndarray) -> np.ndarray:
+    """bool [n]: the coat is smooth over a base that a normal map bends."""
+    return (column(rows, "normal_uv_layer") >= 0) & (column(rows, "coat_normal_mapped") == 0)
+
+
+def make_layers(rows: np.ndarray, cos_sheen: np.ndarray, cos_coat: np.ndarray) -> Layers:
+    """rows: [n, 48] of materials, maps applied. cos_sheen, cos_coat: [n], of V with the normals of sheen and coat."""
     principled = column(rows, "kind") == MaterialKind.PRINCIPLED
     below = np.ones((len(rows), 3))
 
     weight = np.where(principled, column(rows, "sheen_weight"), 0.0)[:, None] * column(rows, "sheen_tint")
-    sheen_a, sheen_b, sheen_albedo = sheen_lobe(np.clip(cos_view, 0.0, 1.0), column(rows, "sheen_roughness"))
+    sheen_a, sheen_b, sheen_albedo = sheen_lobe(np.clip(cos_sheen, 0.0, 1.0), column(rows, "sheen_roughness"))
     sheen = weight * sheen_albedo[:, None]
     below = below * np.clip(1.0 - sheen.max(axis=1), 0.0, 1.0)[:, None]
 
@@ -53,13 +58,13 @@ def make_layers(rows: np.ndarray, cos_view: np.ndarray) -> Layers:
     coat_eta = np.maximum(column(rows, "coat_ior"), 1.0)
     roughness = column(rows, "coat_roughness")
     f0 = normal_reflectance(coat_eta)
-    energy, factor = multiscatter_factor(roughness, cos_view, dielectric_mean(coat_eta))
-    single = f0 + (1.0 - f0) * dielectric_share(roughness, cos_view, coat_eta)
+    energy, factor = multiscatter_factor(roughness, cos_coat, dielectric_mean(coat_eta))
+    single = f0 + (1.0 - f0) * dielectric_share(roughness, cos_coat, coat_eta)
     coat = coat_weight * below[:, 0] * factor
     coat_albedo = coat * energy * single
     below = below * np.clip(1.0 - coat_weight * factor * energy * single, 0.0, 1.0)[:, None]
     # Beer's law along the refracted ray; the tint is that of a ray along the normal.
-    inside = np.sqrt(1.0 - (1.0 - np.clip(cos_view, 0.0, 1.0) ** 2) / coat_eta**2)
+    inside = np.sqrt(1.0 - (1.0 - np.clip(cos_coat, 0.0, 1.0) ** 2) / coat_eta**2)
     absorbed = column(rows, "coat_tint") ** (1.0 / np.maximum(inside, 1e-6))[:, None]
     below = below * (1.0 + coat_weight[:, None] * (absorbed - 1.0))
     return Layers(below, sheen, sheen_a, sheen_b, coat, roughness**2, coat_eta, coat_albedo)

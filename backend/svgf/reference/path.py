@@ -323,7 +323,7 @@ def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
     pdf = np.zeros(len(paths.pixel))
     if scene.world.light >= 0:
         pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
-    value = paths.throughput * scene.world.radiance(paths.direction) * _hit_weight(paths, pdf)
+    value = paths.throughput * scene.world.radiance(paths.direction, paths.kind) * _hit_weight(paths, pdf)
     signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1), paths.links)
 
 

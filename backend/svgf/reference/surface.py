@@ -12,7 +12,7 @@ from ..scene import MaterialKind
 from .bsdf import Bsdf, make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
-from .layers import column, make_layers
+from .layers import column, has_smooth_coat_normal, make_layers
 from .lights import Lights
 from .microfacet import fresnel_dielectric
 from .texture import Texture
@@ -34,11 +34,24 @@ _RANGES = {
 class Mesh:
     """Triangles in object space and their hierarchy. Arguments: see svgf.scene.Mesh."""
 
-    def __init__(self, device, positions, triangles, normals, uvs, material_slots, previous_positions=None) -> None:
+    def __init__(
+        self,
+        device,
+        positions,
+        triangles,
+        normals,
+        uvs,
+        material_slots,
+        previous_positions=None,
+        tangents=None,
+        tangent_layer=0,
+    ) -> None:
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         self.corners = np.asarray(positions, dtype=np.float64)[triangles]
         self.normals = np.asarray(normals, dtype=np.float64).reshape(-1, 3, 3)
         self.uvs = np.asarray(() if uvs is None else uvs, dtype=np.float64).reshape(-1, len(triangles), 3, 2)
+        self.tangents = np.zeros((len(triangles), 3, 4)) if tangents is None else np.asarray(tangents, np.float64)
+        self.tangent_layer = np.full(len(triangles), -1 if tangents is None else tangent_layer)
         self.slots = np.asarray(material_slots, dtype=np.int64)
         self.previous_corners = self.corners
         if previous_positions is not None:
@@ -49,7 +62,7 @@ class Mesh:
         self.box = (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else np.zeros((2, 3))
         self.hierarchy = Hierarchy(solid.min(axis=1), solid.max(axis=1), leaf_size=4)
 
-    def refit(self, device, positions, normals, previous_positions) -> bool:
+    def refit(self, device, positions, normals, previous_positions, tangents=None) -> bool:
         """The reference makes meshes anew."""
         return False
 
@@ -94,6 +107,8 @@ class Shapes(Geometry):
             ],
             axis=1,
         )
+        self.tangents = np.concatenate([np.zeros((0, 3, 4)), *(mesh.tangents for mesh in meshes)])
+        self.tangent_layer = np.concatenate([np.zeros(0, int), *(mesh.tangent_layer for mesh in meshes)])
         self.boxes = np.array([mesh.box for mesh in meshes]).reshape(-1, 2, 3)
         self.slots = np.concatenate([np.zeros(0, dtype=np.int64), *(mesh.slots for mesh in meshes)])
         self.previous_corners = np.concatenate([np.zeros((0, 3, 3)), *(mesh.previous_corners for mesh in meshes)])
@@ -175,12 +190,15 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
     has_normal = np.abs(normal).max(axis=1, initial=0.0) > 1e-6
     object_normal = np.where(has_normal[:, None], normal, face_normal)
     layer = rows[:, MATERIAL_COLUMNS["normal_uv_layer"]].astype(int)
-    tangent, mirrored = _uv_axes(shapes, triangle, corners, layer)
-    shading_normal = _mapped_normal(rows, tangent, mirrored, object_normal, inverse, shading_normal)
-    tangent = _anisotropy_tangent(shapes, instance, triangle, corners, object_position, rows, to_world, inverse)
+    axes = _normal_map_axes(shapes, triangle, weights, corners, layer, object_normal)
+    shading_normal = _mapped_normal(rows, axes, inverse, shading_normal)
+    tangent = _anisotropy_tangent(
+        shapes, instance, triangle, weights, corners, object_position, rows, to_world, inverse
+    )
 
     opacity, tint = find_opacity(rows)
-    below = make_layers(rows, np.abs(dot(shading_normal, view))).below
+    coat_normal = np.where(has_smooth_coat_normal(rows)[:, None], smooth_normal, shading_normal)
+    below = make_layers(rows, np.abs(dot(shading_normal, view)), np.abs(dot(coat_normal, view))).below
     emission = column(rows, "emission") * below * (opacity * weight)[:, None]
     light_emission = column(scene.materials[material], "light_emission")
     # Of a mix of lamps that paths aim at: all of it, always.
@@ -291,12 +309,30 @@ def _uv_axes(
     return np.where(there[:, None], along, 0.0), area < 0.0
 
 
-def _mapped_normal(rows, tangent, mirrored, object_normal, inverse, shading_normal) -> np.ndarray:
-    """Shading normals turned by the normal map. The tangent is that of the triangle, made perpendicular to the
-    interpolated normal."""
-    n = normalize(object_normal)
-    tangent = normalize(tangent - n * dot(n, tangent)[:, None])
-    bitangent = np.cross(n, tangent) * np.where(mirrored, -1.0, 1.0)[:, None]
+def _mesh_tangent(shapes: Shapes, triangle: np.ndarray, weights: np.ndarray, layer: np.ndarray) -> np.ndarray:
+    """The meshes' own tangents [n, 4] of UV layers, with the side of V; 0 where they have none."""
+    tangent = np.einsum("nc,nci->ni", weights, shapes.tangents[triangle])
+    return np.where((shapes.tangent_layer[triangle] == layer)[:, None], tangent, 0.0)
+
+
+def _normal_map_axes(
+    shapes: Shapes, triangle: np.ndarray, weights: np.ndarray, corners: np.ndarray, layer: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tangent, bitangent and normal that a normal map is relative to. With tangents of the mesh's own, all three stay
+    as they are interpolated [Mikkelsen08]; that of a triangle is made perpendicular to the normal."""
+    own = _mesh_tangent(shapes, triangle, weights, layer)
+    along, mirrored = _uv_axes(shapes, triangle, corners, layer)
+    n = normalize(normal)
+    along = normalize(along - n * dot(n, along)[:, None])
+    there = own[:, :3].any(axis=1)[:, None]
+    tangent, n = np.where(there, own[:, :3], along), np.where(there, normal, n)
+    side = np.where(there[:, 0], own[:, 3], np.where(mirrored, -1.0, 1.0))
+    return tangent, np.cross(n, tangent) * side[:, None], n
+
+
+def _mapped_normal(rows, axes, inverse, shading_normal) -> np.ndarray:
+    """Shading normals turned by the normal map."""
+    tangent, bitangent, n = axes
     strength = column(rows, "normal_strength")[:, None]
     x, y, z = ((2.0 * column(rows, "normal") - 1.0)[:, i : i + 1] for i in range(3))
     local_z = 1.0 + (z - 1.0) * np.clip(strength, 0.0, 1.0)
@@ -305,10 +341,14 @@ def _mapped_normal(rows, tangent, mirrored, object_normal, inverse, shading_norm
     return np.where(there[:, None], normalize(mapped), shading_normal)
 
 
-def _anisotropy_tangent(shapes, instance, triangle, corners, object_position, rows, to_world, inverse) -> np.ndarray:
-    """The U axis of a UV layer, or without one Blender's default, circles around the object's Z axis through the middle
-    of its box."""
-    along, _ = _uv_axes(shapes, triangle, corners, column(rows, "tangent_uv_layer").astype(int))
+def _anisotropy_tangent(
+    shapes, instance, triangle, weights, corners, object_position, rows, to_world, inverse
+) -> np.ndarray:
+    """That of a UV layer, or without one Blender's default, circles around the object's Z axis through the middle of
+    its box."""
+    layer = column(rows, "tangent_uv_layer").astype(int)
+    own, (along, _) = _mesh_tangent(shapes, triangle, weights, layer)[:, :3], _uv_axes(shapes, triangle, corners, layer)
+    along = np.where(own.any(axis=1)[:, None], own, along)
     low, high = shapes.boxes[shapes.instance_mesh[instance]].transpose(1, 0, 2)
     width = high - low
     scaled = (object_position - (low + high) / 2.0) / np.where(width > 0.0, width, np.inf)

@@ -71,8 +71,20 @@ class Tracer:
     def set_lights(self, **columns) -> None:
         self._lights = Lights(**columns)
 
-    def set_world(self, radiance, visibility, texture: int, light: int, to_environment, row_cdf, column_cdf) -> None:
+    def set_world(
+        self,
+        radiance,
+        visibility,
+        texture: int,
+        light: int,
+        to_environment,
+        row_cdf,
+        column_cdf,
+        backdrop_radiance,
+        backdrop_texture: int,
+    ) -> None:
         self._world = (radiance, visibility, texture, light, to_environment, row_cdf, column_cdf)
+        self._backdrop = (backdrop_radiance, backdrop_texture)
 
     def set_camera(
         self, camera_to_world, previous_camera_to_world, window, previous_window, clip, lens, previous_lens
@@ -182,4 +194,8 @@ class Tracer:
         if not self._world:
             return World()
         radiance, visibility, texture, *rest = self._world
-        return World(radiance, visibility, self._textures[texture] if texture >= 0 else None, *rest)
+        backdrop_radiance, backdrop_texture = self._backdrop
+        return World(radiance, visibility, self._image(texture), *rest, backdrop_radiance, self._image(backdrop_texture))
+
+    def _image(self, texture: int) -> Texture | None:
+        return self._textures[texture] if texture >= 0 else None

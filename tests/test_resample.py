@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""History of one image size as that of another: each pixel the nearest one's, frames in proportion to its area."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from .test_denoiser import HEIGHT, WIDTH, add_noise, make_frame
+
+TEMPORAL = ("svgf+", "svgf")
+SIZES = ((WIDTH // 2, HEIGHT // 2), (2 * WIDTH, 2 * HEIGHT), (WIDTH + 7, HEIGHT - 5), (1, 1))
+
+
+def after_frames(device, method, count, frame, seed=0):
+    """A denoiser that has seen so many noisy frames."""
+    rng = np.random.default_rng(seed)
+    denoiser = device.denoiser(frame["depth"].shape[1], frame["depth"].shape[0], method, {})
+    for _ in range(count):
+        step(device, denoiser, add_noise(frame, rng))
+    return denoiser
+
+
+def step(device, denoiser, frame):
+    result = denoiser.denoise({name: device.upload(image) for name, image in frame.items()}, reset=False)
+    return {name: np.asarray(device.to_numpy(image), np.float32) for name, image in result.items()}
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("method", TEMPORAL)
+def test_each_pixel_is_the_nearest_ones(device, method, size):
+    denoiser = after_frames(device, method, 5, make_frame())
+    before = denoiser.history_images()
+    denoiser.resize(*size)
+    after = denoiser.history_images()
+    width, height = size
+    rows = ((np.arange(height) + 0.5) * HEIGHT / height).astype(int)
+    columns = ((np.arange(width) + 0.5) * WIDTH / width).astype(int)
+    assert after.keys() == before.keys() and "color0" in after
+    for name, image in after.items():
+        expected = np.asarray(before[name])[rows[:, None], columns]
+        if name.startswith("frames"):
+            expected = np.maximum(expected * min(1, WIDTH * HEIGHT / (width * height)), 1)
+            np.testing.assert_allclose(image, expected, rtol=4e-3)  # 9 bits of frames + 1
+        else:
+            np.testing.assert_array_equal(image, expected)
+
+
+@pytest.mark.parametrize("method", TEMPORAL)
+def test_picture_goes_on(device, method):
+    """A much noisier first frame of the new size does not show: it is one of many."""
+    denoiser, rng = after_frames(device, method, 32, make_frame()), np.random.default_rng(1)
+    fresh = device.denoiser(2 * WIDTH // 3, HEIGHT // 2, method, {})
+    denoiser.resize(2 * WIDTH // 3, HEIGHT // 2)
+    noisy = add_noise(make_frame(HEIGHT // 2, 2 * WIDTH // 3), rng, strength=2.0)
+    image, other = step(device, denoiser, noisy), step(device, fresh, noisy)
+    off, fresh_off = (np.abs(each["color"] - 0.5).mean() for each in (image, other))
+    assert off < 0.5 * fresh_off and np.median(image["history_length"]) > 30
+
+
+@pytest.mark.parametrize("divisor", [2, 3])
+@pytest.mark.parametrize("method", TEMPORAL)
+def test_slanted_surfaces_go_on_in_finer_pixels(device, method, divisor):
+    """A plane at 60 degrees: a fine pixel's depth is not that of the coarse one around it."""
+
+    def slanted(height, width):
+        frame = make_frame(height, width)
+        slope = 10.0 * np.tan(np.radians(60)) * 0.72 / width
+        frame["depth"] += (slope * (np.arange(width) + 0.5 - width / 2)).astype(np.float32)
+        frame["depth_gradient"][..., 0] = slope
+        frame["normal"][:] = np.float32([-np.sin(np.radians(60)), 0, 0.5])
+        return frame
+
+    denoiser = after_frames(device, method, 8, slanted(HEIGHT, WIDTH))
+    denoiser.resize(divisor * WIDTH, divisor * HEIGHT)
+    image = step(device, denoiser, slanted(divisor * HEIGHT, divisor * WIDTH))
+    assert (image["history_length"] > 1).mean() > 0.97
+
+
+@pytest.mark.parametrize("method", [*TEMPORAL, "eaw", "none"])
+def test_sizes_come_and_go(device, method):
+    denoiser = device.denoiser(WIDTH, HEIGHT, method, {})
+    for width, height in ((3, 5), (WIDTH, HEIGHT), (64, 1), (1, 1), (WIDTH, HEIGHT)):
+        denoiser.resize(width, height)
+        denoiser.resize(width, height)
+        frame = make_frame(height, width)
+        two = {**frame, "specular": frame["diffuse"], "specular_albedo": frame["diffuse_albedo"]}
+        for inputs, radiance in ((frame, 0.5), (two, 1.0)):
+            np.testing.assert_allclose(step(device, denoiser, inputs)["color"], radiance, rtol=5e-3)
