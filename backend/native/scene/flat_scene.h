@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "core/vec.h"
+#include "scene/opacity_map.h"
 #include "scene/wide_node.h"
 
 namespace svgf {
@@ -40,14 +41,6 @@ struct MeshView {
     std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
     std::int32_t triangle_count = 0;
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
-};
-
-// What light passes a triangle straight.
-enum class OpacityClass : std::uint8_t {
-    opaque,   // none
-    clear,    // all
-    cut_out,  // of any colour the same share: find_opacity
-    shaded,   // that which only shading tells, as the surface tints it, is one of several, or shines
 };
 
 // Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
@@ -243,8 +236,9 @@ struct SceneView {
     const Instance* instances = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
-    // Of each instance the OpacityClass of its triangles, in leaf order; null: no light passes any of them.
-    const std::uint8_t* const* opacity = nullptr;
+    // Of each instance that of its triangles, in leaf order; null: no light passes any of them.
+    const TriangleOpacity* const* opacity = nullptr;
+    const std::uint32_t* opacity_words = nullptr;  // of the parts of cut-outs
     const std::int32_t* material_table = nullptr;
     const Material* materials = nullptr;
     const MaterialMap* material_maps = nullptr;

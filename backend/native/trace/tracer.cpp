@@ -396,6 +396,7 @@ void Tracer::find_opacity() {
     opacity_.find(device_, {meshes_, instance_mesh_, material_start_, material_table_rows_, material_rows_,
                             material_map_rows_, textures_}, scene_);
     scene_.opacity = opacity_.view();
+    scene_.opacity_words = opacity_.words();
     const auto shines = [](const Material& material) {
         return max(max_component(material.emission), max_component(material.light_emission)) > 0.0f;
     };
