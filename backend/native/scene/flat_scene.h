@@ -15,8 +15,12 @@ struct alignas(16) LeafTriangle {
     Vec3 vertex0;
     std::int32_t index;  // in the mesh as it was given
     Vec3 vertex1;
-    std::int32_t material_slot;
+    union {
+        std::int32_t material_slot;
+        std::int32_t member;  // where it is one of scene/merged_objects.h
+    };
     Vec3 vertex2;
+    std::int32_t leaf_triangle = -1;  // of a member: its number in its own mesh
 };
 static_assert(sizeof(LeafTriangle) == 48);
 
@@ -234,6 +238,9 @@ struct SceneView {
     const TopLeaf* top_leaves = nullptr;  // its primitives
     bool has_one_leaf = false;            // rays then start in it
     const Instance* instances = nullptr;
+    // The one that stands for scene/merged_objects.h, and of what rays hit there the instances; -1: there is none.
+    std::int32_t merged_instance = -1;
+    const std::int32_t* members = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
     // Of each instance that of its triangles, in leaf order; null: no light passes any of them.

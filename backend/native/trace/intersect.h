@@ -378,10 +378,15 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
-            const Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
+            Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
+            if (instance == scene.merged_instance) {
+                found.instance = scene.members[triangle.member];
+                found.leaf_triangle = triangle.leaf_triangle;
+                if (found.instance < 0) continue;
+            }
             if constexpr (!any_hit) {
-                const bool closer = t < t_max || instance < hit.instance ||
-                                    (instance == hit.instance && found.triangle < hit.triangle);
+                const bool closer = t < t_max || found.instance < hit.instance ||
+                                    (found.instance == hit.instance && found.triangle < hit.triangle);
                 if (!closer) continue;
             }
             if (passes(triangle_ray, triangle, found)) continue;

@@ -217,9 +217,21 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
         largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
-    const TopLevel top = build_top_level(meshes, instances, placements);
+    merged_.update(device_, meshes, instances, placements);
+    // Behind all others, as an instance that stands where the world does.
+    std::vector<std::shared_ptr<Mesh>> trees = meshes;
+    scene_.merged_instance = -1;
+    if (merged_.has_members()) {
+        constexpr Mat34 identity{{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}};
+        scene_.merged_instance = std::int32_t(count);
+        instances.push_back({identity, std::int32_t(trees.size()), 0, 0, ray_kind::all, 0});
+        placements.push_back({identity, identity});
+        trees.push_back(merged_.mesh());
+    }
+    scene_.members = merged_.view();
+    const TopLevel top = build_top_level(trees, instances, placements, merged_.members());
     std::vector<MeshView> views;
-    for (const auto& mesh : meshes) views.push_back(mesh->view());
+    for (const auto& tree : trees) views.push_back(tree->view());
     const auto keep = [this]<class Rows>(Rows& kept, const auto& rows) {
         if (std::equal(kept.begin(), kept.end(), rows.begin(), rows.end())) return;
         kept = Rows(rows.begin(), rows.end());
