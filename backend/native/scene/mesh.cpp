@@ -30,9 +30,6 @@ TrianglePositions positions_of(const Mesh::Arrays& arrays, std::span<const float
 
 void check(const Mesh::Arrays& arrays) {
     const std::size_t count = arrays.material_slots.size();
-    const auto expect = [](bool holds, const char* message) {
-        if (!holds) throw InputError(message);
-    };
     expect(arrays.positions.size() % 3 == 0, "A mesh's positions must be [V, 3].");
     expect(arrays.triangles.size() == 3 * count, "A mesh needs one material slot for each triangle.");
     expect(arrays.normals.size() == 9 * count, "A mesh needs three normals for each triangle.");
