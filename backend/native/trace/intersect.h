@@ -125,7 +125,7 @@ struct BoxRay {
 
 // Relative error of a distance to a side, with room: the box test's own roundings, and those of the triangle test,
 // which may place a hit as far outside of the box.
-constexpr float box_margin = 8.0f / 16777216.0f;
+constexpr float box_margin = 10.0f / 16777216.0f;
 
 // The larger of three distances and t_min, and the smaller of three and t_max; t_min is not negative. On the device as
 // integers, which takes two instructions less: floats that are not negative have the order of their bits, and where one

@@ -149,7 +149,7 @@ struct ShadowPasses {
     const SceneView& scene;
     const Sampler& sampler;
     int vertex;  // from which the ray starts
-    Vec3 view;
+    const Ray& world_ray;
     int allowed;  // surfaces that it may still pass
     // In double, so that the order of the factors does not show.
     double left[3] = {1, 1, 1};
@@ -167,7 +167,7 @@ struct ShadowPasses {
             share = {passing, passing, passing};
         } else {
             const float choice = sampler.at_triangle(SamplePair::shadow, vertex, hit.instance, hit.triangle);
-            share = find_shaded_transmittance<kernel>(scene, hit, view, choice);
+            share = find_shaded_transmittance<kernel>(scene, hit, -normalize(world_ray.direction), choice);
         }
         left[0] *= share.x;
         left[1] *= share.y;
@@ -182,7 +182,7 @@ SVGF_HD Vec3 find_transmittance_along(const SceneView& scene, const Ray& ray, co
                                       int allowed) {
     Hit unused;
     if constexpr (covers(kernel, Effects::alpha)) {
-        ShadowPasses<kernel> passes{scene, sampler, vertex, -normalize(ray.direction), allowed};
+        ShadowPasses<kernel> passes{scene, sampler, vertex, ray, allowed};
         if (traverse<true>(scene, ray, unused, passes)) return {};
         return {float(passes.left[0]), float(passes.left[1]), float(passes.left[2])};
     }

@@ -3,6 +3,7 @@
 #include "trace/tracer.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "trace/cast.h"
 #include "trace/gbuffer.h"
@@ -185,7 +186,7 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
     Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
     // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
     Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
-    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 1, "queues");
+    Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 2, "queues");
     const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
     const auto path_queue = [&](int vertex) {
         return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
@@ -208,17 +209,20 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
         device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
                              ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0, shadow_queue(0).pixels});
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
-            const PixelQueue queue = path_queue(vertex);
+            PixelQueue queue = path_queue(vertex);
             const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, queue.pixels};
             // Those that leave the first surface mostly measure a distance, if it has specular lobes.
             const bool measures_distance = vertex == 1 && covers(kernel, Effects::specular);
-            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark && !measures_distance)
-                device_.launch_queue("path extend", pixels, queue.count, LastExtendStage<kernel>{extend});
-            else
+            PixelQueue next_queue = path_queue(vertex + 1);
+            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark && !measures_distance) {
+                device_.launch_queue("path extend", pixels, queue.count, LastExtendStage<kernel>{extend, next_queue});
+                queue = std::exchange(next_queue, {queue.pixels, counts.data() + 2 * std::size_t(vertex_count) + 1});
+            } else {
                 device_.launch_queue("path extend", pixels, queue.count, extend);
+            }
             device_.launch_queue("path shade", pixels, queue.count,
                                  ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
-                                                    path_queue(vertex + 1), shadow_queue(vertex)});
+                                                    next_queue, shadow_queue(vertex)});
             if (vertex + 1 < vertex_count)
                 device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
                                      ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
