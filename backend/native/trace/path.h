@@ -82,17 +82,21 @@ struct PathVertices {
         return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
-    // Whether it only matters that the ray of a path that ends hits anything, where scene.last_hits_are_dark.
+    // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
+    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                              bool measures_distance) const {
+        return find_end(sampler, vertex, ray, transparent_bounces, asks_only_whether(ray, measures_distance));
+    }
+
+    // The same in two steps.
     SVGF_HD bool asks_only_whether(const Ray& ray, bool measures_distance) const {
         return !measures_distance && !crosses_finite_lamp(ray);
     }
-
-    // Where it ends, or whether it does.
-    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
-                              bool only_whether) const {
-        if (!only_whether)
-            return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
-        return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+    SVGF_HD Hit find_end(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                         bool only_whether) const {
+        if (only_whether)
+            return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
@@ -149,13 +153,17 @@ struct PathVertices {
         return true;
     }
 
-    // The share of its light that arrives of a shadow ray that left vertex `vertex`.
+    // Adds what arrives of a shadow ray that left vertex `vertex`.
+    SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
+        const Vec3 share = find_arriving(sampler, vertex, shadow.ray, shadow.surfaces);
+        if (max_component(share) > 0.0f) add_share(shadow, share, light);
+    }
+
+    // The same in two steps.
     SVGF_HD Vec3 find_arriving(const Sampler& sampler, int vertex, const Ray& ray, int surfaces) const {
         return find_transmittance_along<kernel>(scene, ray, sampler, vertex, surfaces);
     }
-
-    // share: not all zero.
-    SVGF_HD void add_arriving(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
+    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
         add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
@@ -392,15 +400,12 @@ struct PathStage {
                 hit = in_hit[pixel];
             else if (path.ends && vertices.scene.last_hits_are_dark)
                 hit = vertices.find_last_hit(sampler, vertex, path.ray, path.transparent_bounces,
-                                             vertices.asks_only_whether(path.ray, path.measures_distance));
+                                             path.measures_distance);
             else
                 hit = vertices.find_hit(sampler, vertex, path.ray, path.transparent_bounces);
             ShadowRay shadow;
             const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
-            if (shadow.exists()) {
-                const Vec3 share = vertices.find_arriving(sampler, vertex, shadow.ray, shadow.surfaces);
-                if (max_component(share) > 0.0f) vertices.add_arriving(shadow, share, light);
-            }
+            if (shadow.exists()) vertices.add_arriving(sampler, vertex, shadow, light);
             if (!goes_on) break;
         }
         out.add(pixel, light);

@@ -146,10 +146,9 @@ struct LastExtendStage : ExtendStage<kernel> {
         const PathRecord& path = this->memory.paths[pixel];
         const Sampler sampler(pixel, this->seed, this->sample);
         const Ray ray = path.ray();
-        const bool asks_only_whether = this->vertices.asks_only_whether(ray, path.measures_distance());
-        const Hit hit =
-            this->vertices.find_last_hit(sampler, this->vertex, ray, path.transparent_bounces(), asks_only_whether);
-        const bool goes_on = !(asks_only_whether && hit.found());
+        const bool only_whether = this->vertices.asks_only_whether(ray, path.measures_distance());
+        const Hit hit = this->vertices.find_end(sampler, this->vertex, ray, path.transparent_bounces(), only_whether);
+        const bool goes_on = !(only_whether && hit.found());
         if (goes_on) store(this->memory.hits + pixel, hit);
         out_paths.push_if(goes_on, pixel);
     }
@@ -232,7 +231,7 @@ struct ShadowStage {
         if (!(max_component(share) > 0.0f)) return;
         // Read only now, so that tracing has the registers.
         Gathered light = load(memory.gathered + pixel).gathered();
-        vertices.add_arriving(load(record).shadow(), share, light);
+        vertices.add_share(load(record).shadow(), share, light);
         store(memory.gathered + pixel, GatheredRecord(light));
     }
 };
