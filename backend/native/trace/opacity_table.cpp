@@ -84,8 +84,7 @@ struct MapOnTriangle {
         Range range{infinity, -infinity};
         for (int y = first_y; y <= last_y; ++y)
             for (int x = first_x; x <= last_x; ++x) {
-                const Vec4 texel = load_texel(texture, wrap_texel(x, texture.width, texture.extension),
-                                              wrap_texel(y, texture.height, texture.extension));
+                const Vec4 texel = load_texel(texture, wrapped(x, texture.width), wrapped(y, texture.height));
                 const float value = channel_of(texel, map.channel);
                 range = {min(range.low, value), max(range.high, value)};
                 if (range.opacity() == OpacityClass::cut_out) return range;
@@ -106,6 +105,13 @@ struct MapOnTriangle {
 private:
     SVGF_HD Vec2 uv_at(Vec2 weights) const {
         return map_uv(mesh, map, {.weight1 = weights.x, .weight2 = weights.y, .leaf_triangle = triangle});
+    }
+
+    // Of a texel at any distance from the image.
+    SVGF_HD int wrapped(int i, int size) const {
+        const bool repeats = texture.extension == Extension::repeat || texture.extension == Extension::mirror;
+        const int images = 2 * size;
+        return wrap_texel(repeats ? (i % images + images) % images : i, size, texture.extension);
     }
 
     // The texels that coordinates from low to high read along one axis, numbered from a whole number of images. False
