@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// One tree, in world space, over all objects that stand still and share their mesh with no other: where objects overlap,
-// as those of a building do, rays visit one tree instead of one after the other. Sponza's 26 objects, all opaque, cost an
-// H200 1.10 instead of 1.28 ms of primary rays at 1920x1080, and one of them moves in 0.24 instead of 1.16 ms, as the
-// tree over instances has little left in it.
+// One tree, in world space, over all objects that stand still and share their mesh with no other: where objects
+// overlap, as those of a building do, rays visit one tree instead of one after the other. Primary rays at 1920x1080 of
+// Sponza's 26 objects, all opaque, take an H200 1.10 instead of 1.28 ms, and one of them moves in 0.24 instead of 1.16
+// ms, as the tree over instances has little left in it.
 //
 // What moves, or changes, leaves the tree at once by a mark and is an instance like any other from then on: the tree is
 // built anew only when it holds less than what waits to enter it. Only rays visit it; a hit names the object's own

@@ -299,12 +299,12 @@ private:
     int size_ = 0;
 };
 
-// Threads of the warp that are here at once.
+// Threads of the warp that are here at once; on the host none ever wait for another.
 SVGF_HD inline int count_threads() {
 #if defined(__CUDA_ARCH__)
     return __popc(__activemask());
 #else
-    return 1;
+    return 32;
 #endif
 }
 
@@ -329,10 +329,10 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     TriangleRay triangle_ray(ray.origin, ray.direction);
     float t_max = ray.t_max;
     NodeGroup group = scene.has_one_leaf ? only_leaf : root, primitives{0, 0};
-    // While few threads of a warp test triangles the others wait. So what few have to test is put off, if there are nodes
-    // to go on with [Ylitie17, Section 4.4]; bounce rays gain up to a half from it (H200). Of those that surfaces scatter it
-    // waits even if there are none, until a quarter of the warp has some: in Sponza they take 4.6 instead of 5.1 ms.
-    // Camera and shadow rays would lose by it.
+    // While few threads of a warp test triangles the others wait. So what few have to test is put off, if there are
+    // nodes to go on with [Ylitie17, Section 4.4]; bounce rays gain up to a half from it (H200). With those that surfaces
+    // scatter it waits even if there are none, until a quarter of the warp has some: in Sponza they take 4.6 instead of
+    // 5.1 ms. Camera and shadow rays would lose by it.
     const bool is_scattered = (ray.kind & (ray_kind::camera | ray_kind::shadow)) == 0;
     for (;;) {
         const int busy_threads = count_threads();
