@@ -83,6 +83,16 @@ SVGF_HD inline float multiply_add(float a, float b, float c) {
 #endif
 }
 
+// a / b to half a unit in the last place, and so 1 where they are the same. The tracer's kernels are compiled with
+// quotients that may be off by two units.
+SVGF_HD inline float exact_quotient(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return __fdiv_rn(a, b);
+#else
+    return a / b;
+#endif
+}
+
 SVGF_HD inline float dot(Vec2 a, Vec2 b) { return multiply_add(a.y, b.y, a.x * b.x); }
 SVGF_HD inline float dot(Vec3 a, Vec3 b) { return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x)); }
 SVGF_HD inline Vec3 cross(Vec3 a, Vec3 b) {

@@ -26,4 +26,9 @@ struct InputError : std::runtime_error {
     using std::runtime_error::runtime_error;
 };
 
+// Throws InputError where input is not as it must be.
+inline void expect(bool holds, const char* message) {
+    if (!holds) throw InputError(message);
+}
+
 }  // namespace svgf

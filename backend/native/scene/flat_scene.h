@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "core/vec.h"
+#include "scene/opacity_map.h"
 #include "scene/wide_node.h"
 
 namespace svgf {
@@ -14,8 +15,12 @@ struct alignas(16) LeafTriangle {
     Vec3 vertex0;
     std::int32_t index;  // in the mesh as it was given
     Vec3 vertex1;
-    std::int32_t material_slot;
+    union {
+        std::int32_t material_slot;
+        std::int32_t member;  // where it is one of scene/merged_objects.h
+    };
     Vec3 vertex2;
+    std::int32_t leaf_triangle = -1;  // of a member: its number in its own mesh
 };
 static_assert(sizeof(LeafTriangle) == 48);
 
@@ -45,14 +50,6 @@ struct MeshView {
     std::int32_t uv_layers = 0;                             // what is beyond reads as (0, 0)
     std::int32_t triangle_count = 0;
     Vec2 box_middle, box_scale;  // middle and inverse widths of its box in X and Y; 0 for no width
-};
-
-// What light passes a triangle straight.
-enum class OpacityClass : std::uint8_t {
-    opaque,   // none
-    clear,    // all
-    cut_out,  // of any colour the same share: find_opacity
-    shaded,   // that which only shading tells, as the surface tints it, is one of several, or shines
 };
 
 // Kinds of rays, the bits of svgf.RayVisibility: a ray sees what has its bit.
@@ -249,10 +246,14 @@ struct SceneView {
     const TopLeaf* top_leaves = nullptr;  // its primitives
     bool has_one_leaf = false;            // rays then start in it
     const Instance* instances = nullptr;
+    // The one that stands for scene/merged_objects.h, and of what rays hit there the instances; -1: there is none.
+    std::int32_t merged_instance = -1;
+    const std::int32_t* members = nullptr;
     const Placement* placements = nullptr;
     const MeshView* meshes = nullptr;
-    // Of each instance the OpacityClass of its triangles, in leaf order; null: no light passes any of them.
-    const std::uint8_t* const* opacity = nullptr;
+    // Of each instance that of its triangles, in leaf order; null: no light passes any of them.
+    const TriangleOpacity* const* opacity = nullptr;
+    const std::uint32_t* opacity_words = nullptr;  // of the parts of cut-outs
     const std::int32_t* material_table = nullptr;
     const Material* materials = nullptr;
     const MaterialMap* material_maps = nullptr;

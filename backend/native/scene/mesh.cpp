@@ -30,9 +30,6 @@ TrianglePositions positions_of(const Mesh::Arrays& arrays, std::span<const float
 
 void check(const Mesh::Arrays& arrays) {
     const std::size_t count = arrays.material_slots.size();
-    const auto expect = [](bool holds, const char* message) {
-        if (!holds) throw InputError(message);
-    };
     expect(arrays.positions.size() % 3 == 0, "A mesh's positions must be [V, 3].");
     expect(arrays.triangles.size() == 3 * count, "A mesh needs one material slot for each triangle.");
     expect(arrays.normals.size() == 9 * count, "A mesh needs three normals for each triangle.");
@@ -111,7 +108,6 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         for (std::size_t i = begin; i < end; ++i) boxes[i] = {boxes[i].low - centre_, boxes[i].high - centre_};
     });
     const Bvh bvh = build_bvh(boxes, max_leaf_size);
-    set_bounds(bvh.bounds);
 
     const std::size_t count = bvh.primitives.size();
     HostBuffer<LeafTriangle> triangles(count);
@@ -128,7 +124,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         for (std::size_t i = begin; i < end; ++i) {
             const std::size_t t = bvh.primitives[i];
             const auto [vertex] = positions_of(arrays, arrays.positions, t, centre_);
-            triangles[i] = {vertex[0], std::int32_t(t), vertex[1], arrays.material_slots[t], vertex[2]};
+            triangles[i] = {vertex[0], std::int32_t(t), vertex[1], {arrays.material_slots[t]}, vertex[2]};
             smallest = std::min(smallest, arrays.material_slots[t]);
             largest = std::max(largest, arrays.material_slots[t]);
             normals[i] = checked_normals(reinterpret_cast<const Vec3*>(arrays.normals.data()) + 3 * t);
@@ -152,10 +148,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     if (smallest_slot < 0) throw InputError("A mesh's material slots must not be negative.");
     slot_count_ = largest_slot + 1;
 
-    nodes_ = Buffer<WideNode>(device, std::span(bvh.nodes), "a mesh's tree");
-    triangles_ = Buffer<LeafTriangle>(device, triangles, "triangles");
-    view_.nodes = nodes_.data();
-    view_.triangles = triangles_.data();
+    set_tree(device, bvh, triangles);
     if (any_normal) {
         normals_ = Buffer<CornerNormals>(device, normals, "normals");
         view_.normals = normals_.data();
@@ -167,20 +160,44 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         view_.triangle_count = std::int32_t(count);
     }
     if (!tangents.empty()) {
-        tangents_ = Buffer<CornerTangents>(device, tangents, "tangents");
+        tangents_ = Buffer<CornerTangents>(device_, tangents, "tangents");
         view_.tangents = tangents_.data();
         view_.tangent_layer = arrays.tangent_layer;
     }
-    if (previous.empty())
-        top_nodes_.assign(bvh.nodes.begin(),
-                          bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
     if (!previous.empty()) {
+        top_nodes_.clear();
         previous_positions_ = Buffer<TrianglePositions>(device, previous, "previous positions");
         view_.previous_positions = previous_positions_.data();
         const std::vector<std::int32_t> left_out = find_left_out(boxes);
         if (count > 0 && has_valid_indices(arrays))
             refit_ = std::make_unique<Refit>(device, arrays, bvh.nodes, left_out, *this);
     }
+}
+
+Mesh::Mesh(Device& device, std::span<const LeafTriangle> triangles) {
+    HostBuffer<Bounds> boxes(triangles.size());
+    parallel_for(triangles.size(), [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) {
+            boxes[i] = {};
+            for (const Vec3& p : {triangles[i].vertex0, triangles[i].vertex1, triangles[i].vertex2}) boxes[i].add(p);
+        }
+    });
+    const Bvh bvh = build_bvh(boxes, max_leaf_size);
+    HostBuffer<LeafTriangle> in_order(bvh.primitives.size());
+    parallel_for(in_order.size(), [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) in_order[i] = triangles[bvh.primitives[i]];
+    });
+    set_tree(device, bvh, in_order);
+}
+
+void Mesh::set_tree(Device& device, const Bvh& bvh, std::span<const LeafTriangle> triangles) {
+    set_bounds(bvh.bounds);
+    nodes_ = Buffer<WideNode>(device, std::span(bvh.nodes), "a mesh's tree");
+    triangles_ = Buffer<LeafTriangle>(device, triangles, "triangles");
+    view_.nodes = nodes_.data();
+    view_.triangles = triangles_.data();
+    top_nodes_.assign(bvh.nodes.begin(),
+                      bvh.nodes.begin() + std::ptrdiff_t(std::min(bvh.nodes.size(), most_top_nodes)));
 }
 
 void Mesh::set_bounds(const Bounds& bounds) {

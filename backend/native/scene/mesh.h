@@ -36,6 +36,8 @@ public:
 
     // Throws InputError if the lengths do not fit together.
     Mesh(Device& device, const Arrays& arrays);
+    // A tree for rays alone.
+    Mesh(Device& device, std::span<const LeafTriangle> triangles);
 
     // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the
     // same slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is
@@ -70,6 +72,7 @@ private:
         Bounds bounds;
         double cost = 0;  // expected child boxes and triangles that a ray which meets the mesh meets
     };
+    void set_tree(Device& device, const Bvh& bvh, std::span<const LeafTriangle> triangles);
     void set_bounds(const Bounds& bounds);
     RefitResult refit_nodes(Device& device, Refit& refit);
 

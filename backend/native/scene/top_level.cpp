@@ -93,7 +93,7 @@ void open(const WideNode& node, std::int32_t instance, const Add& add) {
 }  // namespace
 
 TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::span<const Instance> instances,
-                         std::span<const Placement> placements) {
+                         std::span<const Placement> placements, std::span<const std::int32_t> left_out) {
     const std::size_t count = instances.size();
     std::vector<Part> parts(count);
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
@@ -102,6 +102,9 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
                                      instances[i].world_to_object),
                         whole(std::int32_t(i))};
     });
+
+    for (const std::int32_t instance : left_out)
+        if (instance >= 0) parts[std::size_t(instance)].box = {};
 
     // All that may be opened come first, as a heap: the largest part is opened next.
     const auto end_of_heap = std::partition(parts.begin(), parts.end(), OverlapsAnother(parts));

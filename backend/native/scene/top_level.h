@@ -23,8 +23,9 @@ struct TopLevel {
     std::vector<TopLeaf> leaves;
 };
 
-// instances, placements: as in SceneView. The tree is a function of its arguments alone.
+// instances, placements: as in SceneView. left_out: instances that do not enter the tree, or -1. The tree is a function
+// of its arguments alone.
 TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::span<const Instance> instances,
-                         std::span<const Placement> placements);
+                         std::span<const Placement> placements, std::span<const std::int32_t> left_out);
 
 }  // namespace svgf

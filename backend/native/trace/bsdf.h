@@ -38,8 +38,10 @@ struct BsdfValue {
     // Of the light from this direction, what belongs to the diffuse signal.
     SVGF_HD Vec3 diffuse_share() const {
         const Vec3 sum = total();
-        return {sum.x > 0.0f ? diffuse.x / sum.x : 0.0f, sum.y > 0.0f ? diffuse.y / sum.y : 0.0f,
-                sum.z > 0.0f ? diffuse.z / sum.z : 0.0f};
+        // Exactly 1 where nothing is specular: the specular signal is then 0, as is its albedo.
+        return {sum.x > 0.0f ? exact_quotient(diffuse.x, sum.x) : 0.0f,
+                sum.y > 0.0f ? exact_quotient(diffuse.y, sum.y) : 0.0f,
+                sum.z > 0.0f ? exact_quotient(diffuse.z, sum.z) : 0.0f};
     }
 };
 

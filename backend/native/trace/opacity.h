@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays through surfaces that let light pass straight, decided where the traversal meets them: opaque triangles stop a
-// ray there and then, and only cut-outs read a texture.
+// ray there and then, and cut-outs read a texture only where the part of the triangle that was hit is neither opaque
+// nor clear all over.
 //
 // A path's ray passes a cut-out or not by a random number of the triangle's own, so that it does not matter in which
 // order triangles are met. Shadow rays take the share that is let through: in Sponza, whose plants and chains are cut
@@ -20,9 +21,9 @@ namespace svgf {
 template <Effects kernel>
 constexpr int path_trace_blocks = covers(kernel, Effects::alpha) ? 5 : trace_blocks;
 
-SVGF_HD inline OpacityClass opacity_class(const SceneView& scene, const Hit& hit) {
-    const std::uint8_t* const classes = scene.opacity[hit.instance];
-    return classes ? OpacityClass(classes[hit.leaf_triangle]) : OpacityClass::opaque;
+SVGF_HD inline TriangleOpacity triangle_opacity(const SceneView& scene, const Hit& hit) {
+    const TriangleOpacity* const triangles = scene.opacity[hit.instance];
+    return triangles ? triangles[hit.leaf_triangle] : TriangleOpacity(OpacityClass::opaque);
 }
 
 // What chooses the part of a mix, and whether a ray passes straight, at a path's vertex. Costs nothing where there is
@@ -34,8 +35,10 @@ SVGF_HD float surface_choice(const Sampler& sampler, int vertex, const Hit& hit)
     return 0.0f;
 }
 
-// Opacity of a cut-out.
-SVGF_HD inline float find_cut_out_opacity(const SceneView& scene, Hit hit) {
+// Opacity of a cut-out at a hit.
+SVGF_HD inline float find_cut_out_opacity(const SceneView& scene, TriangleOpacity triangle, Hit hit) {
+    const OpacityClass part = triangle.at(scene.opacity_words, hit.weight1, hit.weight2);
+    if (part != OpacityClass::cut_out) return part == OpacityClass::opaque ? 1.0f : 0.0f;
     const Instance& instance = scene.instances[hit.instance];
     const MeshView& mesh = scene.meshes[instance.mesh];
     const std::int32_t slot = mesh.triangles[hit.leaf_triangle].material_slot;
@@ -61,12 +64,14 @@ struct PathPasses {
     int passed = 0;
 
     SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
-        const OpacityClass found = opacity_class(scene, hit);
-        if (found == OpacityClass::opaque || found == OpacityClass::shaded) return false;
+        const TriangleOpacity found = triangle_opacity(scene, hit);
+        if (found.whole() == OpacityClass::opaque || found.whole() == OpacityClass::shaded) return false;
         if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
-        if (found == OpacityClass::cut_out &&
-            surface_choice<kernel>(sampler, vertex, hit) < find_cut_out_opacity(scene, hit))
-            return false;
+        if (found.whole() == OpacityClass::cut_out) {
+            const float opacity = find_cut_out_opacity(scene, found, hit);
+            if (opacity >= 1.0f || (opacity > 0.0f && surface_choice<kernel>(sampler, vertex, hit) < opacity))
+                return false;
+        }
         if (passed < distances.most) distances.t[passed] = hit.t;
         ++passed;
         return true;
@@ -144,24 +149,25 @@ struct ShadowPasses {
     const SceneView& scene;
     const Sampler& sampler;
     int vertex;  // from which the ray starts
-    Vec3 view;
+    const Ray& world_ray;
     int allowed;  // surfaces that it may still pass
     // In double, so that the order of the factors does not show.
     double left[3] = {1, 1, 1};
 
     SVGF_HD bool operator()(const TriangleRay& ray, const LeafTriangle& triangle, const Hit& hit) {
-        const OpacityClass found = opacity_class(scene, hit);
+        const TriangleOpacity opacity = triangle_opacity(scene, hit);
+        const OpacityClass found = opacity.whole();
         if (found == OpacityClass::opaque) return false;
         if (!owns_hit(ray, triangle, hit.weight1, hit.weight2)) return true;
         if (allowed-- <= 0) return false;
         if (found == OpacityClass::clear) return true;
         Vec3 share;
         if (found == OpacityClass::cut_out) {
-            const float passing = 1.0f - find_cut_out_opacity(scene, hit);
+            const float passing = 1.0f - find_cut_out_opacity(scene, opacity, hit);
             share = {passing, passing, passing};
         } else {
             const float choice = sampler.at_triangle(SamplePair::shadow, vertex, hit.instance, hit.triangle);
-            share = find_shaded_transmittance<kernel>(scene, hit, view, choice);
+            share = find_shaded_transmittance<kernel>(scene, hit, -normalize(world_ray.direction), choice);
         }
         left[0] *= share.x;
         left[1] *= share.y;
@@ -176,7 +182,7 @@ SVGF_HD Vec3 find_transmittance_along(const SceneView& scene, const Ray& ray, co
                                       int allowed) {
     Hit unused;
     if constexpr (covers(kernel, Effects::alpha)) {
-        ShadowPasses<kernel> passes{scene, sampler, vertex, -normalize(ray.direction), allowed};
+        ShadowPasses<kernel> passes{scene, sampler, vertex, ray, allowed};
         if (traverse<true>(scene, ray, unused, passes)) return {};
         return {float(passes.left[0]), float(passes.left[1]), float(passes.left[2])};
     }

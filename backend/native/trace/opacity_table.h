@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What light passes each triangle, found once so that rays need not ask its material: most triangles of a material with
-// an alpha map are opaque or clear all over.
+// an alpha map, or most parts of them, are opaque or clear all over.
 #pragma once
 
 #include <cstdint>
@@ -29,16 +29,19 @@ public:
         std::span<const std::shared_ptr<Texture>> textures;
     };
 
-    // view: of the same scene. Stage "opacity".
+    // view: of the same scene. Stages "opacity" and "opacity parts".
     void find(Device& device, const Scene& scene, const SceneView& view);
 
-    const std::uint8_t* const* view() const { return of_instance_.data(); }
+    // Of each instance that of its triangles, in leaf order, or null: no light passes any of them.
+    const TriangleOpacity* const* view() const { return of_instance_.data(); }
+    const std::uint32_t* words() const { return words_.data(); }
     // Whether any triangle is OpacityClass::shaded.
     bool has_shaded() const { return has_shaded_; }
 
 private:
-    std::vector<Buffer<std::uint8_t>> classes_;
-    Buffer<const std::uint8_t*> of_instance_;
+    std::vector<Buffer<TriangleOpacity>> triangles_;
+    Buffer<const TriangleOpacity*> of_instance_;
+    Buffer<std::uint32_t> words_;
     bool has_shaded_ = false;
 };
 

@@ -89,9 +89,18 @@ struct PathVertices {
     // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
     SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
                               bool measures_distance) const {
-        if (measures_distance || crosses_finite_lamp(ray))
-            return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
-        return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_end(sampler, vertex, ray, transparent_bounces, asks_only_whether(ray, measures_distance));
+    }
+
+    // The same in two steps.
+    SVGF_HD bool asks_only_whether(const Ray& ray, bool measures_distance) const {
+        return !measures_distance && !crosses_finite_lamp(ray);
+    }
+    SVGF_HD Hit find_end(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
+                         bool only_whether) const {
+        if (only_whether)
+            return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
+        return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
     // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray.
@@ -151,9 +160,16 @@ struct PathVertices {
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
-        const Vec3 share = find_transmittance_along<kernel>(scene, shadow.ray, sampler, vertex, shadow.surfaces);
-        if (max_component(share) > 0.0f)
-            add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
+        const Vec3 share = find_arriving(sampler, vertex, shadow.ray, shadow.surfaces);
+        if (max_component(share) > 0.0f) add_share(shadow, share, light);
+    }
+
+    // The same in two steps.
+    SVGF_HD Vec3 find_arriving(const Sampler& sampler, int vertex, const Ray& ray, int surfaces) const {
+        return find_transmittance_along<kernel>(scene, ray, sampler, vertex, surfaces);
+    }
+    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
+        add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
 private:

@@ -14,14 +14,14 @@ SVGF_HD inline float srgb_to_linear(float c) {  // IEC 61966-2-1
     return c <= 0.04045f ? c / 12.92f : fast_exp2(2.4f * fast_log2((c + 0.055f) / 1.055f));
 }
 
-// Texel index within [0, size) for one near to it, or -1 for one that the image does not cover.
+// Texel index within [0, size), or -1 for one that the image does not cover. i: where the extension repeats, within its
+// period or two beyond.
 SVGF_HD inline int wrap_texel(int i, int size, Extension extension) {
     if (extension == Extension::extend) return clamp(i, 0, size - 1);
     if (extension == Extension::clip) return i >= 0 && i < size ? i : -1;
-    // Once at most, but for images of one or two texels.
     const int period = extension == Extension::mirror ? 2 * size : size;
-    while (i < 0) i += period;
-    while (i >= period) i -= period;
+    // Clamped for images of one texel, which are all the same.
+    i = clamp(i < 0 ? i + period : i >= period ? i - period : i, 0, period - 1);
     return i < size ? i : period - 1 - i;
 }
 

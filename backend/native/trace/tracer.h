@@ -13,6 +13,7 @@
 #include "core/effects.h"
 #include "device/device.h"
 #include "scene/flat_scene.h"
+#include "scene/merged_objects.h"
 #include "scene/mesh.h"
 #include "scene/texture.h"
 #include "trace/camera.h"
@@ -146,6 +147,7 @@ private:
     Device& device_;
     std::vector<std::shared_ptr<Mesh>> meshes_;
     std::vector<std::shared_ptr<Texture>> textures_;
+    MergedObjects merged_;
     Buffer<WideNode> nodes_;
     Buffer<TopLeaf> top_leaves_;
     Buffer<Instance> instances_;

@@ -79,9 +79,8 @@ struct alignas(16) ShadowRecord {
     Vec3 diffuse_share;
     std::int32_t links;
 
-    SVGF_HD ShadowRay shadow() const {
-        return {{origin, direction, 0.0f, t_max, ray_kind::shadow}, light, diffuse_share, bounces, links, surfaces};
-    }
+    SVGF_HD Ray ray() const { return {origin, direction, 0.0f, t_max, ray_kind::shadow}; }
+    SVGF_HD ShadowRay shadow() const { return {ray(), light, diffuse_share, bounces, links, surfaces}; }
 };
 struct alignas(16) GatheredRecord {
     Vec3 emission;
@@ -140,13 +139,18 @@ template <Effects kernel>
 struct LastExtendStage : ExtendStage<kernel> {
     using ExtendStage<kernel>::launch_shape;
 
+    PixelQueue out_paths;  // those of which more is to be known than that they hit something
+
     SVGF_HD void operator()(int i) const {
         const int pixel = this->in_pixels[i];
         const PathRecord& path = this->memory.paths[pixel];
         const Sampler sampler(pixel, this->seed, this->sample);
-        store(this->memory.hits + pixel,
-              this->vertices.find_last_hit(sampler, this->vertex, path.ray(), path.transparent_bounces(),
-                                           path.measures_distance()));
+        const Ray ray = path.ray();
+        const bool only_whether = this->vertices.asks_only_whether(ray, path.measures_distance());
+        const Hit hit = this->vertices.find_end(sampler, this->vertex, ray, path.transparent_bounces(), only_whether);
+        const bool goes_on = !(only_whether && hit.found());
+        if (goes_on) store(this->memory.hits + pixel, hit);
+        out_paths.push_if(goes_on, pixel);
     }
 };
 
@@ -222,8 +226,12 @@ struct ShadowStage {
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
         const Sampler sampler(pixel, seed, sample);
+        const ShadowRecord* const record = memory.shadows + pixel;
+        const Vec3 share = vertices.find_arriving(sampler, vertex, record->ray(), record->surfaces);
+        if (!(max_component(share) > 0.0f)) return;
+        // Read only now, so that tracing has the registers.
         Gathered light = load(memory.gathered + pixel).gathered();
-        vertices.add_arriving(sampler, vertex, load(memory.shadows + pixel).shadow(), light);
+        vertices.add_share(load(record).shadow(), share, light);
         store(memory.gathered + pixel, GatheredRecord(light));
     }
 };
