@@ -160,7 +160,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
         view_.triangle_count = std::int32_t(count);
     }
     if (!tangents.empty()) {
-        tangents_ = Buffer<CornerTangents>(device_, tangents, "tangents");
+        tangents_ = Buffer<CornerTangents>(device, tangents, "tangents");
         view_.tangents = tangents_.data();
         view_.tangent_layer = arrays.tangent_layer;
     }
