@@ -106,3 +106,35 @@ def test_bench_resolution(scene_file: Path, tmp_path: Path) -> None:
     assert len(list(csv.DictReader((tmp_path / "r.csv").open()))) == 2
     assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
     assert "32x18" in assert_done(run("bench", "resolution", scene_file, *sizes))
+
+
+def test_bench_cycles(tmp_path: Path) -> None:
+    bpy = pytest.importorskip("bpy", reason="bpy is not installed: pip install svgf[blender]")
+    bpy.ops.wm.read_factory_settings()  # a cube, a lamp and a camera
+    bpy.context.scene.frame_end = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cube.blend"))
+    options = ("--size", "64x36", "--bounces", 1, "--count", 2)
+    report = json.loads(
+        assert_done(run("bench", "cycles", tmp_path / "cube.blend", *options, "--csv", tmp_path / "c.csv", "--json"))
+    )
+    (row,) = report["rows"]
+    assert row["scene"] == "cube" and all(milliseconds > 0 for name, milliseconds in row.items() if name != "scene")
+    (line,) = csv.DictReader((tmp_path / "c.csv").read_text().splitlines())
+    assert {name: line[name] for name in row} == {name: str(value) for name, value in row.items()}
+    # What was measured: the file's scene with these settings in both renderers.
+    scene = bpy.context.scene
+    assert scene.render.engine == "CYCLES" and (scene.render.resolution_x, scene.render.resolution_y) == (64, 36)
+    assert (scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising) == (1, 1, False)
+    assert_refused(run("bench", "cycles", tmp_path / "nowhere.blend", *options), "There is no file")
+
+
+def test_table_of_bench_cycles(monkeypatch) -> None:
+    from svgf.bench import cycles
+
+    pytest.importorskip("bpy", reason="bpy is not installed: pip install svgf[blender]")
+    measured = cycles.CyclesComparison("room", wall=200.0, cycles_wall=300.0, processor=400.0, cycles_processor=1000.0)
+    monkeypatch.setattr(cycles, "measure", lambda *arguments: measured)
+    text = assert_done(run("bench", "cycles", "room.blend", "--size", "64x36", "--count", 2))
+    assert "64x36, 1 sample per pixel: median ms of 2 frames" in text
+    (line,) = (line for line in text.splitlines() if "room" in line)
+    assert [cell.strip() for cell in line.split("│")[1:-1]] == ["room", "200", "300", "1.50x", "400", "1000", "2.50x"]

@@ -48,4 +48,11 @@ SVGF_HD inline void store(Record* record, const Record& value) {
 #endif
 }
 
+// Sends for a cache line that will be read soon. A GPU runs other threads meanwhile.
+SVGF_HD inline void prefetch([[maybe_unused]] const void* address) {
+#if defined(__GNUC__) && !defined(__CUDACC__)
+    __builtin_prefetch(address);
+#endif
+}
+
 }  // namespace svgf

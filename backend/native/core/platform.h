@@ -15,6 +15,13 @@
 #define SVGF_NOINLINE
 #endif
 
+// For what is called from the innermost loops, whose registers a call would spill.
+#if defined(__GNUC__)
+#define SVGF_ALWAYS_INLINE __attribute__((always_inline))
+#else
+#define SVGF_ALWAYS_INLINE
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define SVGF_UNROLL _Pragma("unroll")
 #define SVGF_NO_UNROLL _Pragma("unroll 1")

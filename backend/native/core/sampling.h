@@ -19,15 +19,17 @@ SVGF_HD inline std::uint32_t mix_bits(std::uint32_t x) {
     return x ^ (x >> 16);
 }
 
-// Nested uniform scrambling: each bit is flipped by a hash of the bits above it [Burley20, Section 3.2].
-SVGF_HD inline std::uint32_t owen_scramble(std::uint32_t x, std::uint32_t seed) {
-    x = reverse_bits(x);
+// Nested uniform scrambling: each bit is flipped by a hash of the bits above it [Burley20, Section 3.2]. Both numbers
+// with their bits reversed.
+SVGF_HD inline std::uint32_t owen_scramble_reversed(std::uint32_t x, std::uint32_t seed) {
     x ^= x * 0x3d20adeau;
     x += seed;
     x *= (seed >> 16) | 1u;
     x ^= x * 0x05526c56u;
-    x ^= x * 0x53a22864u;
-    return reverse_bits(x);
+    return x ^ (x * 0x53a22864u);
+}
+SVGF_HD inline std::uint32_t owen_scramble(std::uint32_t x, std::uint32_t seed) {
+    return reverse_bits(owen_scramble_reversed(reverse_bits(x), seed));
 }
 
 // The second Sobol dimension of the index whose reversed bits (the first dimension) are given. Its generator matrix is
@@ -42,7 +44,7 @@ SVGF_HD inline std::uint32_t sobol_second_dimension(std::uint32_t reversed_index
 }
 
 // 24 bits: exact in a float, and below 1.
-SVGF_HD inline float unit_float(std::uint32_t bits) { return float(bits >> 8) * (1.0f / 16777216.0f); }
+SVGF_HD inline float unit_float(std::uint32_t bits) { return float(std::int32_t(bits >> 8)) * (1.0f / 16777216.0f); }
 
 // Names of the pairs. Those of a path's vertex follow each other, four apart; vertex 0 is the first hit. Those of the
 // surfaces that rays meet are far from all others.
@@ -67,7 +69,7 @@ struct Sampler {
 
     SVGF_HD Vec2 pair(SamplePair name, int vertex = 0) const {
         const std::uint32_t key = key_of(name, vertex);
-        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        const std::uint32_t first = owen_scramble_reversed(reverse_bits(sample), key);
         const std::uint32_t second = sobol_second_dimension(first);
         return {unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u))),
                 unit_float(owen_scramble(second, mix_bits(key ^ 0x63d83595u)))};
@@ -77,15 +79,51 @@ struct Sampler {
     SVGF_HD float at_triangle(SamplePair name, int vertex, std::int32_t instance, std::int32_t triangle) const {
         const std::uint32_t surface = mix_bits(mix_bits(std::uint32_t(instance)) + std::uint32_t(triangle));
         const std::uint32_t key = mix_bits(key_of(name, vertex) ^ surface);
-        const std::uint32_t first = reverse_bits(owen_scramble(sample, key));
+        const std::uint32_t first = owen_scramble_reversed(reverse_bits(sample), key);
         return unit_float(owen_scramble(first, mix_bits(key ^ 0xa511e9b3u)));
     }
 
-private:
     SVGF_HD std::uint32_t key_of(SamplePair name, int vertex) const {
         const std::uint32_t dimension = std::uint32_t(name) + 4u * std::uint32_t(vertex);
         return mix_bits(pixel_key + 0x9e3779b9u * (dimension + 1u));
     }
+};
+
+// The pairs of a path's vertex, from `direction` to `light`. The host draws all four at once, in lanes; the device each
+// where it is used, to have its registers for other things.
+class VertexSampler {
+public:
+#if defined(__CUDA_ARCH__)
+    SVGF_HD VertexSampler(const Sampler& sampler, int vertex) : sampler_(sampler), vertex_(vertex) {}
+    SVGF_HD Vec2 pair(SamplePair name) const { return sampler_.pair(name, vertex_); }
+
+private:
+    const Sampler& sampler_;
+    int vertex_;
+#else
+    SVGF_HD VertexSampler(const Sampler& sampler, int vertex) {
+        // Numbers 0 to 3 are first ones, 4 to 7 second ones.
+        const std::uint32_t reversed_sample = reverse_bits(sampler.sample);
+        std::uint32_t key[2 * pairs], value[2 * pairs];
+        for (std::uint32_t i = 0; i < pairs; ++i) {
+            const std::uint32_t pair_key = sampler.key_of(SamplePair(first_pair + i), vertex);
+            key[i] = pair_key ^ 0xa511e9b3u;
+            key[pairs + i] = pair_key ^ 0x63d83595u;
+            value[i] = owen_scramble_reversed(reversed_sample, pair_key);
+            value[pairs + i] = sobol_second_dimension(value[i]);
+        }
+        for (std::uint32_t i = 0; i < 2 * pairs; ++i)
+            number_[i] = unit_float(owen_scramble(value[i], mix_bits(key[i])));
+    }
+    SVGF_HD Vec2 pair(SamplePair name) const {
+        const std::uint32_t i = std::uint32_t(name) - first_pair;
+        return {number_[i], number_[pairs + i]};
+    }
+
+private:
+    static constexpr std::uint32_t first_pair = std::uint32_t(SamplePair::direction), pairs = 4;
+    float number_[2 * pairs];
+#endif
 };
 
 // Orthonormal frame around a unit vector [Duff17].

@@ -10,6 +10,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -42,8 +43,11 @@ public:
             for (size_t tile = begin; tile < end; ++tile) {
                 const int x0 = int(tile % columns) * tile_size, y0 = int(tile / columns) * tile_size;
                 const int x1 = std::min(x0 + tile_size, width), y1 = std::min(y0 + tile_size, height);
-                for (int y = y0; y < y1; ++y)
-                    for (int x = x0; x < x1; ++x) stage(x, y);
+                if constexpr (requires { stage.trace_tile(x0, y0, x1, y1); })
+                    stage.trace_tile(x0, y0, x1, y1);
+                else
+                    for (int y = y0; y < y1; ++y)
+                        for (int x = x0; x < x1; ++x) stage(x, y);
             }
         });
     }
@@ -82,8 +86,8 @@ public:
         StreamScope(Device&, std::optional<uintptr_t>) {}
     };
 
-    // Milliseconds per stage since the last call, in launch order. Here every stage is one launch.
-    std::vector<std::pair<std::string, double>> take_timings(bool = false) { return std::exchange(timings_, {}); }
+    // Milliseconds per stage since the last call, in launch order; by_launch: one row for each of its launches.
+    std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 
     // May be called from any thread: the stage that runs, or else the next one, throws Interrupted.
     void interrupt() { interrupted_ = true; }
@@ -104,9 +108,10 @@ private:
         add_timing(name, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
     }
 
-    void add_timing(const char* name, double milliseconds);
+    // name: a literal.
+    void add_timing(std::string_view name, double milliseconds);
 
-    std::vector<std::pair<std::string, double>> timings_;
+    std::vector<std::pair<std::string_view, double>> launches_;
     std::atomic<bool> interrupted_{false};
 };
 

@@ -31,13 +31,12 @@ SVGF_HD inline Vec3 environment_radiance(const SceneView& scene, Vec3 direction)
 
 // The i with cdf[i] <= u < cdf[i + 1], of `count` intervals. u becomes the place within it, in [0, 1).
 SVGF_HD inline int choose_interval(const float* cdf, int count, float& u) {
-    int low = 0, high = count;
-    while (high - low > 1) {
-        const int middle = (low + high) / 2;
-        if (cdf[middle] <= u)
-            low = middle;
-        else
-            high = middle;
+    // Halves what is left without a branch: which half is chance.
+    int low = 0;
+    for (int left = count; left > 1;) {
+        const int half = left / 2;
+        low = cdf[low + half] <= u ? low + half : low;
+        left -= half;
     }
     const float width = cdf[low + 1] - cdf[low];
     u = width > 0.0f ? clamp((u - cdf[low]) / width, 0.0f, 0x1.fffffep-1f) : 0.0f;

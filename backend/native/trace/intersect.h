@@ -9,10 +9,6 @@
 // whatever order they are found.
 #pragma once
 
-#if defined(__AVX2__) && !defined(__CUDACC__)
-#include <immintrin.h>
-#endif
-
 #include "core/bits.h"
 #include "core/load.h"
 #include "core/vec.h"
@@ -46,6 +42,7 @@ struct alignas(16) Hit {
 struct TriangleRay {
     Vec3 origin, x, y, z;
 
+    TriangleRay() = default;
     SVGF_HD TriangleRay(Vec3 origin, Vec3 direction) : origin(origin) {
         const Vec3 size = abs(direction);
         const bool along_z = size.z >= size.x && size.z >= size.y, along_y = !along_z && size.y >= size.x;
@@ -109,13 +106,16 @@ SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangl
 
 // --- Boxes -----------------------------------------------------------------------------------------------------------
 
+// A component of a direction that is closer to zero, or a smaller share of the largest one, counts as this: too small
+// to matter, and no product is infinite or NaN.
+constexpr float smallest_component = 1e-30f, smallest_share = 1e-15f;
+
 struct BoxRay {
     Vec3 origin, inverse_direction;
     std::uint32_t octant;  // bit k: the direction is positive along axis k
 
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
-        // A component of zero becomes one that is too small to matter, so that no product is infinite or NaN.
-        const float smallest = max(1e-15f * max_component(abs(direction)), 1e-30f);
+        const float smallest = max(smallest_share * max_component(abs(direction)), smallest_component);
         const auto inverse = [smallest](float d) { return 1 / std::copysign(max(std::fabs(d), smallest), d); };
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
         octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |
@@ -178,32 +178,6 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
     const Vec3 start = (node.origin - ray.origin) * inverse;
     const Vec3 margin = (abs(start) + abs(scale) * byte_offset) * box_margin;
     const bool negative_x = inverse.x < 0, negative_y = inverse.y < 0, negative_z = inverse.z < 0;
-#if defined(__AVX2__) && !defined(__CUDACC__)
-    const Vec3 near_start = start - margin, far_start = start + margin;
-    const auto words = [](const std::uint32_t (&bytes)[2]) {
-        return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
-    };
-    const auto distances = [&](const std::uint32_t (&bytes)[2], float scale, float start) {
-        return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words(bytes)), _mm256_set1_ps(scale), _mm256_set1_ps(start));
-    };
-    const __m256 near_x = distances(negative_x ? node.high[0] : node.low[0], scale.x, near_start.x);
-    const __m256 near_y = distances(negative_y ? node.high[1] : node.low[1], scale.y, near_start.y);
-    const __m256 near_z = distances(negative_z ? node.high[2] : node.low[2], scale.z, near_start.z);
-    const __m256 far_x = distances(negative_x ? node.low[0] : node.high[0], scale.x, far_start.x);
-    const __m256 far_y = distances(negative_y ? node.low[1] : node.high[1], scale.y, far_start.y);
-    const __m256 far_z = distances(negative_z ? node.low[2] : node.high[2], scale.z, far_start.z);
-    const __m256 enter = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
-    const __m256 leave = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
-    const __m256i met = _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_LE_OQ));
-    const __m256i slot = words(node.slot), shift = _mm256_and_si256(slot, _mm256_set1_epi32(31));
-    const __m256i is_inner = _mm256_cmpgt_epi32(shift, _mm256_set1_epi32(WideNode::inner_bit - 1));
-    const __m256i order = _mm256_xor_si256(shift, _mm256_and_si256(is_inner, _mm256_set1_epi32(int(ray.octant))));
-    const __m256i bits = _mm256_and_si256(_mm256_sllv_epi32(_mm256_srli_epi32(slot, 5), order), met);
-    __m128i mask = _mm_or_si128(_mm256_castsi256_si128(bits), _mm256_extracti128_si256(bits, 1));
-    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0x4e));
-    mask = _mm_or_si128(mask, _mm_shuffle_epi32(mask, 0xb1));
-    return std::uint32_t(_mm_cvtsi128_si32(mask));
-#else
     const Vec3 from_zero = start - scale * byte_offset;
     const Vec3 near_start = from_zero - margin, far_start = from_zero + margin;
     std::uint32_t mask = 0;
@@ -233,7 +207,6 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         }
     }
     return mask;
-#endif
 }
 
 // Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers
@@ -308,6 +281,15 @@ SVGF_HD inline int count_threads() {
 #endif
 }
 
+// Gives a hit in the tree of scene/merged_objects.h to the instance that the triangle belongs to. Returns false where
+// that has left the tree.
+SVGF_HD inline bool name_owner(const SceneView& scene, const LeafTriangle& triangle, Hit& found) {
+    if (found.instance != scene.merged_instance) return true;
+    found.instance = scene.members[triangle.member];
+    found.leaf_triangle = triangle.leaf_triangle;
+    return found.instance >= 0;
+}
+
 // For rays that every surface stops.
 struct NothingPasses {
     SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
@@ -316,6 +298,10 @@ struct NothingPasses {
 // Returns whether there is a hit. With any_hit the first one found ends the search and hit is left as it was; else hit
 // becomes the closest one. passes(triangle_ray, triangle, hit) is asked about every hit that would count, in any order,
 // and says whether the ray goes on as if it were not there.
+#if defined(__AVX2__) && !defined(__CUDACC__)
+template <bool any_hit, class Passes>
+bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes);  // trace/traverse_avx2.h
+#else
 template <bool any_hit, class Passes>
 SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& passes) {
     constexpr NodeGroup root{0, 1u << 31}, only_leaf{0, 1u};
@@ -389,11 +375,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
             Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
-            if (instance == scene.merged_instance) {
-                found.instance = scene.members[triangle.member];
-                found.leaf_triangle = triangle.leaf_triangle;
-                if (found.instance < 0) continue;
-            }
+            if (!name_owner(scene, triangle, found)) continue;
             if constexpr (!any_hit) {
                 const bool closer = t < t_max || found.instance < hit.instance ||
                                     (found.instance == hit.instance && found.triangle < hit.triangle);
@@ -415,6 +397,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     }
     return t_max < ray.t_max;
 }
+#endif
 
 SVGF_HD inline Hit find_closest_hit(const SceneView& scene, const Ray& ray) {
     Hit hit;
@@ -428,3 +411,7 @@ SVGF_HD inline bool is_occluded(const SceneView& scene, const Ray& ray) {
 }
 
 }  // namespace svgf
+
+#if defined(__AVX2__) && !defined(__CUDACC__)
+#include "trace/traverse_avx2.h"
+#endif

@@ -68,8 +68,9 @@ SVGF_HD inline SVGF_NOINLINE float look_up_albedo(const float* tables, AlbedoTab
     const float x = saturate(roughness) * float(table.columns - 1), y = saturate(cosine) * float(table.rows - 1);
     const float z = saturate(ior_coordinate) * float(table.depth - 1);
     const int i = int(x), j = int(y), k = int(z);
+    const int corners = table.depth > 1 ? 8 : table.rows > 1 ? 4 : 2;
     float sum = 0;
-    for (int corner = 0; corner < 8; ++corner) {
+    for (int corner = 0; corner < corners; ++corner) {
         const int a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
         const float weight = (a ? x - float(i) : 1.0f - (x - float(i))) * (b ? y - float(j) : 1.0f - (y - float(j))) *
                              (c ? z - float(k) : 1.0f - (z - float(k)));

@@ -45,7 +45,7 @@ SVGF_HD inline float find_cut_out_opacity(const SceneView& scene, TriangleOpacit
     const Material& material = scene.materials[scene.material_table[instance.material_start + slot]];
     if (material.alpha_map < 0) return material.alpha;
     const MaterialMap& map = scene.material_maps[material.alpha_map];
-    return saturate(channel_of(sample_map(scene, mesh, map, hit), map.channel));
+    return saturate(sample_channel(scene.textures[map.texture], map_uv(mesh, map, hit), map.channel));
 }
 
 // Distances of the first surfaces that a ray passed, in no order.

@@ -29,6 +29,8 @@ struct Surface {
 
 // Unit vector for any length, also where its square would vanish or overflow.
 SVGF_HD inline Vec3 normalize_any_length(Vec3 v) {
+    const float squared = dot(v, v);
+    if (squared > 1e-30f && squared < 1e30f) return v * (1.0f / std::sqrt(squared));
     const float size = max_component(abs(v));
     return size > 0.0f ? normalize(v * (1.0f / size)) : v;
 }
@@ -45,10 +47,6 @@ SVGF_HD inline Vec2 interpolate_uv(const MeshView& mesh, std::int32_t layer, con
     const CornerUvs& uvs = mesh.uvs[layer * mesh.triangle_count + hit.leaf_triangle];
     return uvs.corner[0] + (uvs.corner[1] - uvs.corner[0]) * hit.weight1 +
            (uvs.corner[2] - uvs.corner[0]) * hit.weight2;
-}
-
-SVGF_HD inline float channel_of(Vec4 texel, std::int32_t channel) {
-    return channel <= 0 ? texel.x : channel == 1 ? texel.y : channel == 2 ? texel.z : texel.w;
 }
 
 // Gives an input of a material the value of a texel. Shares stay shares, whatever an image holds: a surface reflects no
@@ -92,6 +90,16 @@ SVGF_HD inline Vec2 map_uv(const MeshView& mesh, const MaterialMap& map, const H
 // RGBA, linear.
 SVGF_HD inline Vec4 sample_map(const SceneView& scene, const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
     return sample_texture(load(scene.textures + map.texture), map_uv(mesh, map, hit));
+}
+
+SVGF_HD inline void prefetch_maps([[maybe_unused]] const SceneView& scene, [[maybe_unused]] const MeshView& mesh,
+                                  [[maybe_unused]] const Hit& hit, [[maybe_unused]] const Material& material) {
+#if !defined(__CUDACC__)
+    for (std::int32_t i = 0; i < material.map_count; ++i) {
+        const MaterialMap& map = scene.material_maps[material.map_start + i];
+        if (map.same_texel == 0) prefetch_texture(scene.textures[map.texture], map_uv(mesh, map, hit));
+    }
+#endif
 }
 
 SVGF_HD inline void apply_maps(const SceneView& scene, const MeshView& mesh, const Hit& hit, Material& material) {
@@ -227,6 +235,9 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
     const LeafTriangle triangle = load(mesh.triangles + hit.leaf_triangle);
     const Vec3 edge1 = triangle.vertex1 - triangle.vertex0, edge2 = triangle.vertex2 - triangle.vertex0;
 
+    const std::int32_t slot = scene.material_table[instance.material_start + triangle.material_slot];
+    if constexpr (covers(kernel, Effects::textures)) prefetch_maps(scene, mesh, hit, scene.materials[slot]);
+
     Surface surface;
     // From the weights: nearer to the triangle than origin + t * direction.
     const Vec3 object_position = triangle.vertex0 + edge1 * hit.weight1 + edge2 * hit.weight2;
@@ -246,7 +257,6 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
             surface.shading_normal = normalize_any_length(transform_normal(instance.world_to_object, normal));
         }
     }
-    const std::int32_t slot = scene.material_table[instance.material_start + triangle.material_slot];
     surface.material_index = slot;
     find_material<kernel>(scene, mesh, hit, view, surface, choice);
     const Material& material = surface.material;

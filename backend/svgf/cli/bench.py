@@ -478,6 +478,51 @@ def effects(
     )
 
 
+@app.command()
+def cycles(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE.blend...", help="Scenes.", show_default=False)],
+    size: ImageSizeOption = "960x540",
+    bounces: BouncesOption = None,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure with each renderer.")] = 5,
+    csv_file: CsvOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Cycles against svgf on the CPU: the first frame of each file at one sample per pixel, in turns."""
+    from ..bench.cycles import CyclesComparison, measure
+    from ..devices import open_device
+    from .progress import progress_bar, silence
+    from .sources import load_exporter
+
+    export_file = load_exporter()
+    image_size = parse_size(size)
+    rows: list[CyclesComparison] = []
+    with progress_bar("Measuring", (1 + count) * len(files)) as bar:
+        for path in files:
+            with silence(1):
+                rows.append(measure(path, export_file, image_size, bounces, count, bar.step))
+    publish(
+        f"{open_device('cpu').description}, {size}, 1 sample per pixel: median ms of {count} frames",
+        rows,
+        table(
+            ("scene", "svgf", "Cycles", "faster", "svgf, all cores", "Cycles, all cores", "faster"),
+            [
+                (
+                    row.scene,
+                    f"{row.wall:.0f}",
+                    f"{row.cycles_wall:.0f}",
+                    f"{row.wall_ratio:.2f}x",
+                    f"{row.processor:.0f}",
+                    f"{row.cycles_processor:.0f}",
+                    f"{row.processor_ratio:.2f}x",
+                )
+                for row in rows
+            ],
+        ),
+        csv_file=csv_file,
+        as_json=as_json,
+    )
+
+
 def _paths(files: list[Path] | None) -> list[Path]:
     from .sources import shipped_scenes
 
