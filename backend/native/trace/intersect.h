@@ -281,6 +281,15 @@ SVGF_HD inline int count_threads() {
 #endif
 }
 
+// Gives a hit in the tree of scene/merged_objects.h to the instance that the triangle belongs to. Returns false where
+// that has left the tree.
+SVGF_HD inline bool name_owner(const SceneView& scene, const LeafTriangle& triangle, Hit& found) {
+    if (found.instance != scene.merged_instance) return true;
+    found.instance = scene.members[triangle.member];
+    found.leaf_triangle = triangle.leaf_triangle;
+    return found.instance >= 0;
+}
+
 // For rays that every surface stops.
 struct NothingPasses {
     SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
@@ -366,11 +375,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
             Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
-            if (instance == scene.merged_instance) {
-                found.instance = scene.members[triangle.member];
-                found.leaf_triangle = triangle.leaf_triangle;
-                if (found.instance < 0) continue;
-            }
+            if (!name_owner(scene, triangle, found)) continue;
             if constexpr (!any_hit) {
                 const bool closer = t < t_max || found.instance < hit.instance ||
                                     (found.instance == hit.instance && found.triangle < hit.triangle);

@@ -180,9 +180,8 @@ SVGF_ALWAYS_INLINE inline std::uint32_t intersect_four(const TriangleRay& ray, c
 // The triangles of a mesh from `first` on whose bits are set. Returns whether the search ends; else hit.t is how far
 // the ray goes on.
 template <bool any_hit, class Passes>
-bool test_triangles(const LeafTriangle* triangles, std::uint32_t first, std::uint32_t bits,
-                                  std::int32_t instance, const TriangleRay& triangle_ray, const Ray& ray, Hit& hit,
-                                  Passes& passes) {
+bool test_triangles(const SceneView& scene, const LeafTriangle* triangles, std::uint32_t first, std::uint32_t bits,
+                    std::int32_t instance, const TriangleRay& triangle_ray, const Ray& ray, Hit& hit, Passes& passes) {
     do {
         const LeafTriangle* lanes[4];
         const std::uint32_t lanes_used = (1u << min(count_set_bits(bits), 4)) - 1;
@@ -197,12 +196,14 @@ bool test_triangles(const LeafTriangle* triangles, std::uint32_t first, std::uin
         for (; hit_lanes; hit_lanes &= hit_lanes - 1) {
             const int i = lowest_set_bit(hit_lanes);
             const LeafTriangle& triangle = *lanes[i];
-            const Hit found{four.t[i], four.weight1[i], four.weight2[i], instance, triangle.index,
-                            std::int32_t(lanes[i] - triangles)};
+            Hit found{four.t[i], four.weight1[i], four.weight2[i], instance, triangle.index,
+                      std::int32_t(lanes[i] - triangles)};
+            if (!name_owner(scene, triangle, found)) continue;
             if constexpr (!any_hit) {
-                const bool closer = found.t < hit.t ||
-                                    (found.t == hit.t && (instance < hit.instance || (instance == hit.instance &&
-                                                                                      found.triangle < hit.triangle)));
+                const bool closer =
+                    found.t < hit.t ||
+                    (found.t == hit.t && (found.instance < hit.instance ||
+                                          (found.instance == hit.instance && found.triangle < hit.triangle)));
                 if (!closer) continue;
             }
             if (passes(triangle_ray, triangle, found)) continue;
@@ -309,8 +310,8 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                 triangle_ray_instance = instance;
                 triangle_ray = object_ray.triangle_ray();
             }
-            if (test_triangles<any_hit>(triangles, first_primitive, primitives, instance, triangle_ray, ray, hit,
-                                        passes))
+            if (test_triangles<any_hit>(scene, triangles, first_primitive, primitives, instance, triangle_ray, ray,
+                                        hit, passes))
                 return true;
             if constexpr (!any_hit) t_max = min(t_max, hit.t);
         }
