@@ -114,8 +114,8 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
 
 @pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
 def test_fast_atrous_is_its_formula(device, level):
-    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5, variance prefiltered at the first
-    level."""
+    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the variances of both pixels, the
+    centre's prefiltered over the level's taps."""
     images = make_images(np.random.default_rng(5), 1)
     settings = DenoiseSettings()
     color, variance = images["color0"].astype(float), images["variance0"].astype(float)
@@ -124,12 +124,12 @@ def test_fast_atrous_is_its_formula(device, level):
     expected_color, expected_variance = color.copy(), np.zeros_like(variance)
     for y, x in zip(*np.nonzero(surface), strict=True):
         blurred = norm = 0.0
-        for j in (-1, 0, 1) if level == 0 else (0,):
-            for i in (-1, 0, 1) if level == 0 else (0,):
-                if 0 <= y + j < HEIGHT and 0 <= x + i < WIDTH and surface[y + j, x + i]:
-                    blurred += kernel[i] * kernel[j] * variance[y + j, x + i]
+        for j in (-1, 0, 1):
+            for i in (-1, 0, 1):
+                v, u = y + j * 2**level, x + i * 2**level
+                if 0 <= v < HEIGHT and 0 <= u < WIDTH and surface[v, u]:
+                    blurred += kernel[i] * kernel[j] * variance[v, u]
                     norm += kernel[i] * kernel[j]
-        deviation = math.sqrt(blurred / norm)
         c_sum, v_sum, w_sum = np.zeros(3), 0.0, 0.0
         for j in (-1, 0, 1):
             for i in (-1, 0, 1):
@@ -142,7 +142,8 @@ def test_fast_atrous_is_its_formula(device, level):
                 difference = abs(light(color[y, x]) - light(color[v, u]))
                 exponent = -abs(z_p - z_q) / (settings.sigma_depth * explained + 1e-3 * z_p)
                 exponent += settings.plus_sigma_normal * (cosine - 1.0) if (i, j) != (0, 0) else 0.0
-                exponent -= difference**2 / ((settings.plus_sigma_luminance * deviation) ** 2 + 1e-20)
+                both = blurred / norm + (variance[v, u] if (i, j) != (0, 0) else 0.0)
+                exponent -= difference**2 / (settings.plus_sigma_luminance**2 * both + 1e-20)
                 w = kernel[i] * kernel[j] * math.exp(exponent)
                 c_sum, v_sum, w_sum = c_sum + w * color[v, u], v_sum + w * w * variance[v, u], w_sum + w
         expected_color[y, x], expected_variance[y, x] = c_sum / w_sum, v_sum / w_sum**2

@@ -41,7 +41,7 @@ _SIGNALS = {
     "direct_indirect": ("Direct, Indirect", "Filter direct and indirect light apart", 1),
 }
 _PIXEL_FILTERS = {
-    "auto": ("Automatic", "Box; center in views with a denoiser and for those of the papers", 0),
+    "auto": ("Automatic", "Box; center for the denoisers of the papers", 0),
     "box": ("Box", "The mean over the pixel: smooth edges, but a G-buffer that jitters", 1),
     "center": ("Center", "The middle of the pixel: a steady G-buffer, but jagged edges", 2),
 }

@@ -248,7 +248,7 @@ class Worker:
     def _prepare(self, request: Request) -> Renderer:
         """The renderer of a request, a new one where the settings or the device are others."""
         device = "cpu" if request.device in self._lost else request.device
-        renderer, settings = self._renderer, replace(_of_a_view(request.settings), diagnostics=_diagnoses(request))
+        renderer, settings = self._renderer, replace(request.settings, diagnostics=_diagnoses(request))
         if renderer is not None and settings == replace(renderer.settings, diagnostics=settings.diagnostics):
             renderer.settings = settings  # keeps its history
         if renderer is None or renderer.settings != settings or self._device_name != device:
@@ -315,14 +315,6 @@ def _pixels(request: Request) -> int:
 def _diagnoses(request: Request) -> bool:
     """Whether what is shown is among what the denoiser tells only when asked."""
     return OVERLAYS[request.look.overlay].diagnoses
-
-
-def _of_a_view(settings: Settings) -> Settings:
-    """With "auto" as the pixel filter a view of a denoiser samples pixel centres: where surfaces trade places in a pixel
-    from frame to frame, its mean would come to rest late (edges, 1.6 times as far from the truth after 256 frames)."""
-    if settings.pixel_filter == "auto" and settings.method != "none":
-        return replace(settings, pixel_filter="center")
-    return settings
 
 
 def _noise(frame: Frame) -> float:

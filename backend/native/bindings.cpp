@@ -396,7 +396,7 @@ Vec4 read_window(const nb::dict& images) {
 }
 
 nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream,
-                 bool diagnostics) {
+                 bool diagnostics, bool unchanged) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -404,6 +404,7 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::op
     ImageReader reader(device, images, width, height);
     DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
     inputs.window = read_window(images);
+    inputs.is_unchanged = unchanged;
     denoiser.prepare(inputs.signals);  // on the device's own stream, which outlives the caller's
     const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
@@ -579,7 +580,8 @@ NB_MODULE(SVGF_MODULE, module) {
             if (!method) throw InputError("There is no denoising method \"" + method_name + "\".");
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
-        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false)
+        .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false,
+             "unchanged"_a = false)
         .def("resize", &Denoiser::resize, "width"_a, "height"_a, nb::call_guard<nb::gil_scoped_release>(),
              "The next frame is of another size; history goes on in it.")
         .def("history_images", [](Denoiser& denoiser) {

@@ -296,7 +296,10 @@ class Renderer:
             self._denoiser.resize(width, height)
         self._denoiser_size = (width, height)
         return self._denoiser.denoise(
-            {**images, "window": flat.window}, reset=bool(reset), diagnostics=self.settings.diagnostics
+            {**images, "window": flat.window},
+            reset=bool(reset),
+            diagnostics=self.settings.diagnostics,
+            unchanged=self._repeats > SETTLING_FRAMES,
         )
 
     def _finish(
@@ -339,6 +342,8 @@ class Renderer:
         )
 
 
+# Frames of the same scene after which its light has settled in the history: what has changed before is found by then.
+SETTLING_FRAMES = 16
 FIRST_IMAGES = ("normal", "depth", "motion", "object_id")
 RADIANCE_IMAGES = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
 # Images that are means over all samples of a frame; the others are of its first sample.

@@ -87,7 +87,7 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     specular_history_clamp: float = _setting(
-        0.4, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
+        0.35, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
@@ -100,10 +100,10 @@ class DenoiseSettings:
         "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.",
     )  # fmt: skip
     specular_sharpness: float = _setting(
-        3.5, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
+        1.4, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
     )
     plus_sigma_luminance: float = _setting(
-        8.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
+        5.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
         unit="standard deviations of the mean", symbol="sigma_l",
     )  # fmt: skip
     plus_sigma_normal: float = _setting(

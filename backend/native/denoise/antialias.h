@@ -25,6 +25,8 @@
 // What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
 // best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
+// Where it is known that nothing changes, nothing is tested: a rare sample in a pixel of several surfaces is no change.
+// And the mean goes over from denoised to noisy frames slowly: they are many by then, and their noise is not seen.
 #pragma once
 
 #include "denoise/modulate.h"
@@ -39,9 +41,11 @@ constexpr float moving_box = 1.0f, still_box = 4.0f;
 // Of the geometric mean of brightness, where something moves: where the average begins to compress.
 constexpr float moving_white = 16.0f;
 constexpr float still_frames = 24.0f;
+// The same where nothing changes, and the frames that it takes.
+constexpr float unchanged_frames = 24.0f, blend_frames = 56.0f;
 // Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
 // 4 % more variance than the plain mean has.
-constexpr float still_rate = 1.25f;
+constexpr float still_rate = 1.25f, blend_rate = 2.0f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
 constexpr float still_margin = 0.02f;
 // Of the brightest of the 3x3 pixels, as a logarithm to the base 2: what darker ones count for in the geometric mean.
@@ -66,7 +70,7 @@ struct Antialias : Tiles {
     Modulate<Storage, Signals> modulate;
     typename Storage::Guides guides;
     typename Storage::Color hist_color;  // rgb and frames in the deviation's place
-    bool has_history;
+    bool has_history = false, is_unchanged = false;
     const float* in_motion;
     int motion_channels;
     typename Storage::Moments in_moments[Signals];  // of temporal
@@ -152,13 +156,19 @@ private:
         const Vec3 extent = still ? still_box * box.deviation + Vec3{margin, margin, margin}
                                   : max(moving_box * box.deviation, abs(mapped - box.mean));
         const Vec3 room = max(extent, 1e-30f);
-        const float excess = fast_max(fast_max(std::fabs(offset.x) * fast_reciprocal(room.x),
-                                               std::fabs(offset.y) * fast_reciprocal(room.y)),
-                                      std::fabs(offset.z) * fast_reciprocal(room.z));
-        const bool light_changed = still && has_changed(pixel);
+        const bool is_tested = !(still && is_unchanged);
+        const float distance = fast_max(fast_max(std::fabs(offset.x) * fast_reciprocal(room.x),
+                                                 std::fabs(offset.y) * fast_reciprocal(room.y)),
+                                        std::fabs(offset.z) * fast_reciprocal(room.z));
+        const float excess = is_tested ? distance : 0.0f;
+        const bool light_changed = is_tested && still && has_changed(pixel);
         if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
-            write(pixel, history.color + (noisy(pixel) - history.color) * (still_rate / frames), frames);
+            const float blended = (history.frames - unchanged_frames) * (1.0f / blend_frames);
+            const float share = is_unchanged ? clamp(blended, 0.0f, 1.0f) : 1.0f;
+            const Vec3 sample = own + (noisy(pixel) - own) * share;
+            const float rate = blend_rate + (still_rate - blend_rate) * share;
+            write(pixel, history.color + (sample - history.color) * (rate / frames), frames);
             return;
         }
         const float kept = settled || light_changed ? 0.0f : history.frames;  // then a still picture starts afresh

@@ -24,10 +24,10 @@ namespace {
 struct SignalInfo {
     const char* name;
     const char* albedo[2];
-    bool is_specular = false;
+    bool is_specular = false, has_reflections = true;
 };
 constexpr SignalInfo signal_table[] = {
-    {"diffuse", {"diffuse_albedo", nullptr}},
+    {"diffuse", {"diffuse_albedo", nullptr}, false, false},
     {"specular", {"specular_albedo", nullptr}, true},
     {"direct", {"diffuse_albedo", "specular_albedo"}},
     {"indirect", {"diffuse_albedo", "specular_albedo"}},
@@ -73,6 +73,7 @@ DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* na
         if (inputs.signals == max_signals) throw InputError("More than two signals are given.");
         inputs.signal[inputs.signals] = signal;
         inputs.is_specular[inputs.signals] = info.is_specular;
+        inputs.has_reflections[inputs.signals] = info.has_reflections;
         for (int i = 0; i < 2; ++i)
             if (info.albedo[i]) inputs.albedo[inputs.signals][i] = floats(info.albedo[i]);
         ++inputs.signals;
@@ -395,13 +396,19 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.out_history_length = history_length;
     stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
-    stage.change_threshold = settings_.change_threshold;
+    constexpr float never = 1e6f;
+    stage.is_unchanged = inputs.is_unchanged;
+    stage.change_threshold = inputs.is_unchanged ? never : settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
     stage.out_suppressed_light = diagnostics_ ? diagnostics_->suppressed_light : nullptr;
     for (int s = 0; s < Signals; ++s) {
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
-        stage.history_clamp[s] = inputs.is_specular[s] ? settings_.specular_history_clamp : settings_.history_clamp;
+        stage.is_specular[s] = inputs.is_specular[s];
+        stage.has_reflections[s] = has_reflections_[s] = inputs.has_reflections[s];
+        stage.history_clamp[s] = inputs.is_unchanged     ? never
+                                 : inputs.is_specular[s] ? settings_.specular_history_clamp
+                                                         : settings_.history_clamp;
         stage.variance_scale[s] = square(sharper);
         stage.hist_color[s] = color_of<Storage>(Place::history, s);
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);
@@ -424,6 +431,7 @@ void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStora
     stage.modulate = modulate;
     stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
+    stage.is_unchanged = inputs.is_unchanged;
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
     for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
@@ -464,7 +472,10 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         constexpr bool plus = std::is_same_v<Method, Plus>;
         stage.sigma_normal = plus ? settings_.plus_sigma_normal : settings_.sigma_normal;
         stage.sigma_luminance = plus ? settings_.plus_sigma_luminance : settings_.sigma_luminance;
-        for (int s = 0; s < Signals; ++s) stage.in_color[s] = color_of<Storage>(from, s);
+        for (int s = 0; s < Signals; ++s) {
+            stage.in_color[s] = color_of<Storage>(from, s);
+            stage.has_reflections[s] = has_reflections_[s];
+        }
         stage.sink = sink;
         launch_tiles(name, stage);
     };

@@ -45,6 +45,7 @@ struct DenoiseInputs {
     int signals = 0;                        // 1 or 2
     const float* signal[max_signals] = {};  // [H, W, 3] radiance
     bool is_specular[max_signals] = {};     // reflections: filtered less, and not tied to the surface's motion
+    bool has_reflections[max_signals] = {};  // alone or with other light: all but diffuse
     const float* albedo[max_signals][2] = {};  // [H, W, 3], summed; both null: 1
     const float* emission = nullptr;        // [H, W, 3]; null: 0
     const float* normal = nullptr;          // [H, W, 3] world space
@@ -53,6 +54,7 @@ struct DenoiseInputs {
     const float* motion = nullptr;          // [H, W, 2 or 3]; null: nothing moved
     int motion_channels = 3;                // 2: the expected previous depth is unknown
     const int32_t* object_id = nullptr;     // [H, W]; null: 1 where depth < 1e10
+    bool is_unchanged = false;              // light, surfaces and camera, for as many frames as svgf+ takes to settle
     Vec4 window = default_window;           // left, right, bottom, top of the image on the plane one unit ahead
 
     // Blender's default camera on a square; eaw alone reads the window.
@@ -225,6 +227,7 @@ private:
     Memory moments_, previous_moments_;   // of luminance, likewise
     Memory next_history_;                 // svgf+: temporal writes it while it reads history_
     Memory resolved_;                     // svgf+: what antialias has written
+    bool has_reflections_[max_signals] = {};  // of the frame at hand
     bool has_resolved_ = false;
     const DenoiseDiagnostics* diagnostics_ = nullptr;  // during a frame that was asked for them
     std::byte* borrowed_working_[max_signals] = {};  // svgf+, during a frame: memory that is another's

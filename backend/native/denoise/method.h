@@ -11,8 +11,7 @@ struct Published {
     using Storage = FloatStorage;
     using Normal = CosinePower;
     static constexpr int radius = 2;  // of the a-trous kernel: 5x5 B3 spline
-    static constexpr bool prefilters_first_level_only = false;
-    static constexpr bool squares_luminance = false;  // in the exponent of Eq. 5
+    static constexpr bool compares_means = false;
 };
 
 // Our own: svgf+, a sixth of the work.
@@ -20,10 +19,8 @@ struct Plus {
     using Storage = PackedStorage;
     using Normal = CosineLobe;
     static constexpr int radius = 1;  // 3x3 binomial
-    // After it, variance has been averaged over the taps of the level before.
-    static constexpr bool prefilters_first_level_only = true;
-    // A Gaussian of the difference: what is surely no noise weighs nothing, and there is no root to take.
-    static constexpr bool squares_luminance = true;
+    // Eq. 5 as a Gaussian of the difference of two means, see atrous.h.
+    static constexpr bool compares_means = true;
 };
 
 }  // namespace svgf

@@ -58,6 +58,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         for (int s = 0; s < Signals; ++s)
             borrowed_working_[s] = own_working.data() + s * pixels * Storage::color_bytes;
         borrowed_gradients_ = own_gradients.data();
+        if (Signals == 2) has_reflections_[1] = true;
     }
 
     // Images are packed and unpacked on the host, by the stages' own code.

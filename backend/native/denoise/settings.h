@@ -37,15 +37,15 @@ namespace svgf {
             "svgf+: frames in a second of the sequence, or of a view as it is drawn, for history_seconds.")            \
     SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
-    SETTING(specular_history_clamp, float, 0.4, 0.0, 1e6, "standard deviations", "",                                   \
+    SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                   \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
     SETTING(change_threshold, float, 0.45, 1e-3, 1e6, "standard deviations", "",                                       \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
     SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
-    SETTING(specular_sharpness, float, 3.5, 1.0, 1e3, "", "",                                                          \
+    SETTING(specular_sharpness, float, 1.4, 1.0, 1e3, "", "",                                                          \
             "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this.")                      \
-    SETTING(plus_sigma_luminance, float, 8.0, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
+    SETTING(plus_sigma_luminance, float, 5.0, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
             "svgf+: luminance differences that count as noise; larger blurs more.")                                    \
     SETTING(plus_sigma_normal, float, 32.0, 1e-3, 1e6, "", "sigma_n",                                                  \
             "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \

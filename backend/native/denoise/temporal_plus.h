@@ -36,6 +36,11 @@
 // - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
 //   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright
 //   sample in where light is sparse. The limit is relative, so that it holds at any exposure; what is cut is counted.
+// - Diffuse light begins, for `young_frames`, with the mean of the 3x3 samples: where few samples find light, most
+//   pixels would begin with none, and seem to be certain of it. What moves in reflections would be blurred.
+// - The variance of a specular sample is the least of four second differences: the border of a reflection, along which
+//   light does not change, is no noise, neither to be blurred nor to be averaged with what has moved on. Cycles' teapots
+//   of mirrors and glass, whole pictures of frames 5, 8, 12 and 16: relMSE over that of OIDN 2.5.1 3.1 without, 2.6 with.
 // - Each signal has its own history length: reflections lose theirs while the diffuse light beside them keeps it.
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
@@ -54,6 +59,15 @@ constexpr int drift_spacing = 3;
 constexpr float threshold_rise = 0.1f, threshold_frames = 16.0f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
+// Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
+constexpr float young_frames = 4.0f;
+// Of a specular sample's variance: what the 3x3 samples say whatever their structure; the rest is the least of four
+// second differences, over 6 and by what makes the least of four noisy ones as large as the noise.
+constexpr float structure_share = 0.06f, second_difference_scale = 2.5f / 6.0f;
+// Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
+constexpr float narrowing_frames = 16.0f;
+// Of the specular mean's variance: how many times it is more uncertain after one frame than it seems.
+constexpr float young_specular = 3.0f;
 
 template <class Storage, int Signals>
 struct TemporalPlus : Tiles {
@@ -77,6 +91,7 @@ struct TemporalPlus : Tiles {
     typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
     typename Storage::Moments hist_moments[Signals];
     float history_frames, firefly_limit, change_threshold;
+    bool is_unchanged = false, is_specular[Signals], has_reflections[Signals];
     float history_clamp[Signals];   // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
     typename Storage::Guides out_guides;
@@ -256,7 +271,8 @@ private:
         for (int n = 0; n < neighbours; ++n)
             squares += near.has(n) ? square(fast_min(lights[n], limit) - local_light) : 0.0f;
         // A pixel without neighbours is as uncertain as it is bright.
-        const float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
+        float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
+        if (is_specular[s]) spread = noise_without_structure(spread, own_light, lights, limit, near);
 
         // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
@@ -282,17 +298,36 @@ private:
                 kept *= share;
             }
         }
-        const Vec3 sample = limited(own, limit);
+        Vec3 sample = limited(own, limit);
         Vec3 history = old.color;
-        if (kept < 1.0f) {
+        const bool is_young = !has_reflections[s] && frames <= young_frames;
+        if (kept < 1.0f || is_young) {
             const Vec3 local = local_color(tile, s, place, near, limit, sample);
             history = local + (history - local) * kept;
+            if (is_young) sample = local;
         }
         const float share = fast_reciprocal(frames);
         const Vec3 mean = history + (sample - history) * share;
-        out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * variance * share});
+        float uncertain = is_unchanged ? fast_min(narrowing_frames * share, 1.0f) : 1.0f;
+        if (is_specular[s]) uncertain *= 1.0f + young_specular * share;
+        out_color[s].store(pixel, {mean.x, mean.y, mean.z, variance_scale[s] * uncertain * variance * share});
         out_moments[s].store(pixel, {frames, variance, drift, changed ? 1.0f : 0.0f});
         return frames;
+    }
+
+    // Along the border of a reflection light does not change: the second difference in that direction is noise alone.
+    SVGF_HD static float noise_without_structure(float spread, float own_light, const float (&lights)[neighbours],
+                                                 float limit, Neighbours near) {
+        float least = largest_float;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours / 2; ++n) {
+            const int opposite = neighbours - 1 - n;
+            if (!near.has(n) || !near.has(opposite)) continue;
+            const float sides = fast_min(lights[n], limit) + fast_min(lights[opposite], limit);
+            least = fast_min(least, square(2.0f * own_light - sides));
+        }
+        const float noise = fast_min(spread, second_difference_scale * least);
+        return noise + structure_share * (spread - noise);
     }
 
     // Mean of the 3x3 samples.

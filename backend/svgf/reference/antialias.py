@@ -16,7 +16,10 @@ MOVING_WHITE = 16.0
 STILL_BOX = 4.0
 STILL_MARGIN = 0.02
 STILL_FRAMES = 24.0
-STILL_RATE = 1.25
+# The same where nothing changes, and the frames that it takes.
+UNCHANGED_FRAMES = 24.0
+BLEND_FRAMES = 56.0
+STILL_RATE, BLEND_RATE = 1.25, 2.0
 # Of the brightest of the 3x3 pixels: what darker ones count for in their geometric mean.
 BLACK = 2.0**-10
 
@@ -30,11 +33,12 @@ class Resolved:
 
 
 def antialias(
-    color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any
-) -> Resolved:
+    color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any,
+    unchanged: bool = False,
+) -> Resolved:  # fmt: skip
     """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired; noise [H, W]: the variance
     of its luminance. changed bool [H, W]: light has just changed. depth [H, W]. motion [H, W, 2 or 3], None: nothing
-    moved."""
+    moved. unchanged: nor did the light change."""
     xp = namespace(color)
     height, width = depth.shape
     rows, columns = xp.meshgrid(xp.arange(height), xp.arange(width), indexing="ij")
@@ -90,6 +94,8 @@ def antialias(
     moving = xp.maximum(MOVING_BOX * deviation, xp.abs(map_(color) - mean))
     extent = xp.where(still[..., None], STILL_BOX * deviation + margin, moving)
     excess = (xp.abs(past - mean) / xp.maximum(extent, 1e-30)).max(axis=-1)
+    if unchanged:
+        excess, changed = xp.where(still, 0.0, excess), changed & ~still
     goes_on = settled & (excess <= 1.0) & ~changed
     kept = xp.where((settled & ~goes_on) | (still & changed), 0.0, frames)
     clipped = xp.where((excess > 1.0)[..., None], mean + (past - mean) / xp.maximum(excess, 1.0)[..., None], past)
@@ -100,7 +106,10 @@ def antialias(
     before = xp.where((excess > 1.0)[..., None], unmap(clipped), past_linear)
     resolved = xp.where(still[..., None], before + (color - before) / n[..., None], resolved)
     resolved = xp.where(known[..., None], resolved, color)
-    resolved = xp.where(goes_on[..., None], past_linear + (noisy - past_linear) * (STILL_RATE / n[..., None]), resolved)
+    share = xp.clip((frames - UNCHANGED_FRAMES) / BLEND_FRAMES, 0.0, 1.0)[..., None] if unchanged else 1.0
+    sample = color + (noisy - color) * share
+    rate = BLEND_RATE + (STILL_RATE - BLEND_RATE) * share
+    resolved = xp.where(goes_on[..., None], past_linear + (sample - past_linear) * rate / n[..., None], resolved)
     return Resolved(resolved, n)
 
 

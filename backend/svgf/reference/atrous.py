@@ -15,13 +15,13 @@ GAUSSIAN = (1.0 / 2.0, 1.0 / 4.0)
 LUMINANCE_EPSILON = 1e-10
 
 
-def prefilter(variance: Any, guides: Guides) -> Any:
-    """g_3x3(Var) [Schied17, Eq. 5], over the surfaces inside the frame."""
+def prefilter(variance: Any, guides: Guides, spacing: int = 1) -> Any:
+    """g_3x3(Var) [Schied17, Eq. 5], over the surfaces inside the frame. spacing: of its taps, pixels."""
     xp = namespace(variance)
     total, weight = xp.zeros(variance.shape), xp.zeros(variance.shape)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
-            inside, value, surface = tap(dx, dy, variance, guides.surface)
+            inside, value, surface = tap(dx * spacing, dy * spacing, variance, guides.surface)
             w = xp.where(inside & surface, GAUSSIAN[abs(dx)] * GAUSSIAN[abs(dy)], 0.0)
             total, weight = total + w * value, weight + w
     return total / xp.where(weight > 0.0, weight, 1.0)
@@ -71,13 +71,17 @@ BINOMIAL = (1.0 / 2.0, 1.0 / 4.0)
 
 
 def atrous_plus(
-    color: list[Any], variance: list[Any], guides: Guides, level: int, settings: Any
+    color: list[Any], variance: list[Any], has_reflections: list[bool], guides: Guides, level: int, settings: Any
 ) -> tuple[list[Any], list[Any]]:
     """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian
-    of the luminance difference for Eq. 5, with the variance prefiltered at the first level alone."""
+    of the luminance difference for Eq. 5, over the prefiltered variance and the tap's. has_reflections: per signal; its
+    variance is prefiltered at the first level alone, and its tap's does not count."""
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
-    filtered = [prefilter(v, guides) for v in variance] if level == 0 else variance
+    filtered = [
+        v if reflects and level > 0 else prefilter(v, guides, 2**level)
+        for v, reflects in zip(variance, has_reflections, strict=True)
+    ]
     weight = [xp.zeros(light[0].shape) for _ in color]
     color_sum = [xp.zeros(c.shape) for c in color]
     variance_sum = [xp.zeros(v.shape) for v in variance]
@@ -92,8 +96,9 @@ def atrous_plus(
             w_geometry = w_geometry * BINOMIAL[abs(i)] * BINOMIAL[abs(j)]
             for s in range(len(color)):
                 _, tap_color, tap_variance, tap_light = tap(dx, dy, color[s], variance[s], light[s])
+                both = filtered[s] if has_reflections[s] else filtered[s] + tap_variance
                 exponent = (light[s] - tap_light) ** 2 / (
-                    settings.plus_sigma_luminance**2 * filtered[s] + LUMINANCE_EPSILON**2
+                    settings.plus_sigma_luminance**2 * both + LUMINANCE_EPSILON**2
                 )
                 w = w_geometry * xp.exp(-exponent)
                 weight[s] = weight[s] + w

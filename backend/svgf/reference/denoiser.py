@@ -88,10 +88,13 @@ class Denoiser:
         frames = self.history.frames if self.method == "svgf+" else []
         return {**_numbered("color", self.history.color), **_numbered("frames", frames)}
 
-    def denoise(self, inputs: dict[str, Any], reset: bool = False, diagnostics: bool = False) -> dict[str, Any]:
+    def denoise(
+        self, inputs: dict[str, Any], reset: bool = False, diagnostics: bool = False, unchanged: bool = False
+    ) -> dict[str, Any]:
         """inputs: images as ``svgf.Denoiser.denoise`` takes them, and optionally `window`; others are not read.
 
-        reset: forget the history first. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
+        reset: forget the history first. unchanged: what is seen, its light and the camera, for as many frames as svgf+
+        takes to settle. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
         diagnostics, also the images of ``svgf.diagnostics``.
         """
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
@@ -107,14 +110,15 @@ class Denoiser:
         if self.method == "svgf+":
             with timed("temporal"):
                 self.history, spread, fireflies, count = temporal_plus(
-                    color, _specular(signals), guides, inputs.get("motion"), self.history, self.settings
-                )
+                    color, _specular(signals), guides, inputs.get("motion"), self.history, self.settings,
+                    _with_reflections(signals), unchanged,
+                )  # fmt: skip
             repaired += count
             color = self.history.color
             length = xp.minimum.reduce(self.history.frames)
             for level in range(self.settings.levels):
                 with timed("atrous"):
-                    color, spread = atrous_plus(color, spread, guides, level, self.settings)
+                    color, spread = atrous_plus(color, spread, _with_reflections(signals), guides, level, self.settings)
             self.history = replace(self.history, filtered=[luminance(c) for c in color])
         elif self.method == "svgf":
             with timed("temporal"):
@@ -141,8 +145,9 @@ class Denoiser:
                 noisy, noise = self._noisy(inputs, signals), _noise(albedo, self.history.variance)
                 changed = _any(self.history.changed)
                 self.resolved = antialias(
-                    radiance, noisy, noise, changed, guides.depth, inputs.get("motion"), self.resolved, self.settings
-                )
+                    radiance, noisy, noise, changed, guides.depth, inputs.get("motion"), self.resolved, self.settings,
+                    unchanged,
+                )  # fmt: skip
             radiance = self.resolved.color
         result = {"color": radiance, "variance": spread, "history_length": length}
         return {**result, **self._diagnose(inputs, signals, guides, before, fireflies)} if diagnostics else result
@@ -173,7 +178,7 @@ class Denoiser:
             variance, drift and changed, hist_filtered0 the luminance after the filter, variance0 goes with color0;
             signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
-        atrous: color0, variance0, guides, (eaw: window) -> color0, variance0 (svgf).
+        atrous: color0, variance0, guides, (eaw: window; svgf+: signal 1 is the specular one) -> color0, variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.
         antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames
             -> color, resolved_frames.
@@ -228,8 +233,13 @@ class Denoiser:
             if self.method == "eaw":
                 window = arrays.get("window", DEFAULT_WINDOW)
                 return _numbered("color", edge_avoiding(color, guides, window, level, self.settings))
-            level_of = atrous_plus if self.method == "svgf+" else atrous
-            color, spread = level_of(color, _listed(arrays, "variance"), guides, level, self.settings)
+            if self.method == "svgf+":
+                has_reflections = [False, True][: len(color)]
+                color, spread = atrous_plus(
+                    color, _listed(arrays, "variance"), has_reflections, guides, level, self.settings
+                )
+            else:
+                color, spread = atrous(color, _listed(arrays, "variance"), guides, level, self.settings)
             return {**_numbered("color", color), **_numbered("variance", spread)}
         raise InputError(f'There is no denoiser stage "{name}".')
 
@@ -248,8 +258,9 @@ class Denoiser:
             )
         illumination = _listed(arrays, "illumination")
         new, spread, self._fireflies, self._repaired = temporal_plus(
-            illumination, [False, True][: len(illumination)], guides, arrays.get("motion"), history, self.settings
-        )
+            illumination, [False, True][: len(illumination)], guides, arrays.get("motion"), history, self.settings,
+            _with_reflections([signal for signal in SIGNAL_ALBEDOS if signal in arrays]),
+        )  # fmt: skip
         xp = namespace(guides.depth)
         moments = [xp.stack(m, axis=-1) for m in zip(new.frames, new.variance, new.drift, new.changed, strict=True)]
         return {
@@ -288,6 +299,10 @@ def _noise(albedos: list[Any], variances: list[Any]) -> Any:
 
 def _any(masks: list[Any]) -> Any:
     return sum(masks) > 0
+
+
+def _with_reflections(signals: list[str]) -> list[bool]:
+    return [signal != "diffuse" for signal in signals]
 
 
 def _specular(signals: list[str]) -> list[bool]:

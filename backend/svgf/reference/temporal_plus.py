@@ -20,6 +20,18 @@ DRIFT_SPACING = 3
 # Rise of the threshold whenever history has doubled beyond these frames.
 THRESHOLD_RISE = 0.1
 THRESHOLD_FRAMES = 16.0
+# Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
+YOUNG_FRAMES = 4.0
+# Of a specular sample's variance, what the 3x3 samples say whatever their structure; and what makes the least of four
+# second differences as large as the variance of noise.
+STRUCTURE_SHARE = 0.06
+SECOND_DIFFERENCE_SCALE = 2.5 / 6.0
+# Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
+NARROWING_FRAMES = 16.0
+# How many times the specular mean is more uncertain after one frame than it seems.
+YOUNG_SPECULAR = 3.0
+# Deviations that no change reaches.
+NEVER = 1e6
 # Of the local brightness: history may be off by this much whatever the variance.
 CLAMP_MARGIN = 1e-4
 
@@ -57,8 +69,11 @@ def temporal_plus(
     motion: Any,
     history: HistoryPlus | None,
     settings: Any,
+    has_reflections: list[bool],
+    unchanged: bool = False,
 ) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
-    """illumination [H, W, 3], is_specular: per signal. motion: [H, W, 2 or 3], None: nothing moved.
+    """illumination [H, W, 3], is_specular, has_reflections (alone or with other light): per signal. motion: [H, W, 2 or 3], None: nothing moved. unchanged: nor did
+    the light change.
 
     Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
     [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there
@@ -104,10 +119,14 @@ def temporal_plus(
         for (same, _), color in zip(near, taps, strict=True):
             squares = squares + xp.where(same, (luminance(color) - mean_light) ** 2, 0.0)
         spread = xp.where(count > 0, squares / xp.maximum(count, 1), luminance(sample) ** 2)
+        if is_specular[s]:
+            least = _least_second_difference(luminance(sample), [luminance(color) for color in taps], near)
+            noise = xp.minimum(spread, SECOND_DIFFERENCE_SCALE * least)
+            spread = noise + STRUCTURE_SHARE * (spread - noise)
 
         # Light that has changed.
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
-        threshold = settings.change_threshold * (1.0 + THRESHOLD_RISE * doublings)
+        threshold = (NEVER if unchanged else settings.change_threshold) * (1.0 + THRESHOLD_RISE * doublings)
         kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
@@ -122,6 +141,7 @@ def temporal_plus(
         sharper = 1.0 / settings.specular_sharpness if is_specular[s] else 1.0
         distance = xp.abs(luminance(changed) - mean_light)
         clamp = settings.specular_history_clamp if is_specular[s] else settings.history_clamp
+        clamp = NEVER if unchanged else clamp
         allowed = clamp * xp.sqrt(variance) + CLAMP_MARGIN * mean_light
         far = found & (distance > allowed)
         kept = xp.where(far, allowed / xp.where(far, distance, 1.0), 1.0)
@@ -129,14 +149,31 @@ def temporal_plus(
         shorter = xp.maximum(left * kept, 1.0) + 1.0
         n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.longest_history), shorter), n)
 
+        uncertain = xp.minimum(NARROWING_FRAMES / n, 1.0) if unchanged else 1.0
+        if is_specular[s]:
+            uncertain = uncertain * (1.0 + YOUNG_SPECULAR / n)
+        if not has_reflections[s]:
+            sample = xp.where((n <= YOUNG_FRAMES)[..., None], mean, sample)
+
         colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
         frames.append(xp.where(surface, n, 0.0))
         new_drifts.append(xp.where(surface & found, drift, 0.0))
         changes.append(surface & found & (kept_of_change < 1.0))
         variances.append(xp.where(surface, variance, 0.0))
-        spreads.append(xp.where(surface, sharper**2 * variance / n, 0.0))
+        spreads.append(xp.where(surface, sharper**2 * uncertain * variance / n, 0.0))
     new = HistoryPlus(colors, frames, variances, new_drifts, changes, none, guides)
     return new, spreads, Fireflies(fireflies, float(cut.sum()), cut), repaired
+
+
+def _least_second_difference(light: Any, taps: list[Any], near: list[tuple[Any, list[Any]]]) -> Any:
+    """The least of (2 light - a - b)^2 [H, W] over the four pairs (a, b) of opposite neighbours on the same surface;
+    inf where there is none."""
+    xp = namespace(light)
+    least = xp.full(light.shape, xp.inf)
+    for n in range(4):
+        both = near[n][0] & near[7 - n][0]
+        least = xp.where(both, xp.minimum(least, (2.0 * light - taps[n] - taps[7 - n]) ** 2), least)
+    return least
 
 
 def _limited(color: Any, limit: Any) -> Any:
