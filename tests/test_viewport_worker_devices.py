@@ -71,7 +71,7 @@ def test_still_view_is_the_renderers_picture(module, worker, device, scene):
     assert (result.samples, result.reset, result.note) == (SAMPLES, "first frame", "")
     assert result.device == device.description and result.frame.timings["path"] > 0
     still = replace(scene.at_rest(), frame=1)
-    renderer = svgf.Renderer(Settings(pixel_filter="center"), device)
+    renderer = svgf.Renderer(Settings(), device)
     expected = [renderer.render(still) for _ in range(SAMPLES)][-1]
     assert np.array_equal(result.frame.color, expected.color)
     assert np.array_equal(result.picture[::-1, :, :3], expected.color) and (result.picture[..., 3] == 1).all()

@@ -59,7 +59,9 @@ def measure(
     renderer = Renderer(settings, open_device("cpu"))
     with closing(export_file(path, size=size)) as scenes:
         scene = next(scenes).at_rest()
-        render_cycles = _prepare_cycles(size, bounces)
+        from svgf_blender.export.cycles import prepare_cycles  # needs bpy
+
+        render_cycles = prepare_cycles(size, bounces)
 
         def render_svgf() -> None:
             _ = renderer.render(scene).noisy
@@ -74,25 +76,6 @@ def measure(
     wall, processor = (statistics.median(values) for values in zip(*ours[1:], strict=True))
     cycles_wall, cycles_processor = (statistics.median(values) for values in zip(*theirs[1:], strict=True))
     return CyclesComparison(path.stem, wall, cycles_wall, processor, cycles_processor)
-
-
-def _prepare_cycles(size: tuple[int, int], bounces: int | None) -> Callable[[], object]:
-    """Sets up the scene that Blender has open; returns what renders its current frame."""
-    import bpy
-
-    scene = bpy.context.scene
-    render, cycles = scene.render, scene.cycles
-    render.engine = "CYCLES"
-    render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
-    render.use_border = render.use_motion_blur = render.use_compositing = render.use_sequencer = False
-    render.use_persistent_data = True
-    cycles.device = "CPU"
-    cycles.samples = 1
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
-    if bounces is not None:
-        cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = bounces
-    return bpy.ops.render.render
 
 
 def _clock(render: Callable[[], object]) -> tuple[float, float]:
