@@ -87,9 +87,9 @@ def _advance(settings: str) -> bool:
 def _start(settings: str) -> None:
     global _job
     folder = tempfile.TemporaryDirectory(prefix="svgf-sky-")
-    # As a module, Blender has no program of its own.
+    # As a module, Blender has no program of its own; -P: this folder must not hide modules of Blender's.
     blender = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python"]
-    command = blender if bpy.app.binary_path else [sys.executable]
+    command = blender if bpy.app.binary_path else [sys.executable, "-P"]
     command = [*command, str(_SCRIPT), "--", settings, str(WIDTH), folder.name]
     with open(Path(folder.name) / "log.txt", "wb") as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)

@@ -59,7 +59,7 @@ def measure(
     renderer = Renderer(settings, open_device("cpu"))
     with closing(export_file(path, size=size)) as scenes:
         scene = next(scenes).at_rest()
-        from svgf_blender.export.cycles import prepare_cycles  # needs bpy
+        from svgf_blender.export.cycles_comparison import prepare_cycles  # needs bpy
 
         render_cycles = prepare_cycles(size, bounces)
 
