@@ -32,6 +32,7 @@ _IMAGES = {
     "diffuse_albedo": _Image(_COLOR, "albedo"),
     "specular_albedo": _Image(_COLOR, "albedo"),
     "albedo": _Image(_COLOR, "albedo of color"),
+    "roughness": _Image((1,), "roughness of what the specular signal shows, 0 to 1"),
     "emission": _Image(_COLOR, "radiance that the surface itself sends out, and the background's"),
     "normal": _Image((3,), "world-space normal"),
     "depth": _Image((1,), "distance along the camera's axis, 1e10 on the background"),
@@ -40,7 +41,7 @@ _IMAGES = {
     "object_id": _Image((1,), "number of the object, 0 on the background", whole=True),
 }
 # A tracer's images that no method reads: a renderer can hand over all it has.
-_IGNORED = frozenset({"roughness", "material_id", "hit_distance"})
+_IGNORED = frozenset({"material_id", "hit_distance"})
 
 _DLPACK_HOST = (1, 3)  # kDLCPU, kDLCUDAHost
 _LEGACY_STREAM = 1
@@ -139,6 +140,8 @@ class Denoiser:
         - one or two signals of linear radiance: "diffuse" and "specular", or "direct" and "indirect", or "color".
         - "diffuse_albedo", "specular_albedo", for "color" "albedo" (optional): [0, 1]; signals are divided by theirs,
           direct and indirect by the sum. "emission" (optional): radiance that is not filtered.
+        - "roughness" (svgf+, optional) [H, W]: of the specular signal, [0, 1]; rough reflections are filtered as diffuse
+          light is, without it all are taken for sharp.
         - "normal": unit, world space. "depth" [H, W]: along the camera's axis, 1e10 on the background.
         - "motion" (needed by svgf): [H, W, 2] previous pixel position minus this one, x right, y down; a third channel,
           expected previous depth minus this depth, lets history survive a camera that moves forward.

@@ -111,7 +111,7 @@ class DenoiseSettings:
         symbol="sigma_n",
     )  # fmt: skip
     antialias_frames: float = _setting(
-        3.0, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
+        3.5, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
         unit="frames",
     )  # fmt: skip
     eaw_sigma_color: float = _setting(

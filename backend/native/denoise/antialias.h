@@ -122,8 +122,18 @@ private:
         }
     };
     struct History {
-        Vec3 color, mapped;
+        Vec3 color;   // of the pixel itself, where nothing moves
+        Vec3 mapped;
         float frames = 0.0f;
+    };
+    // Weights of four pixels in a row for a place between the middle two, and linear ones of these.
+    struct Cubic {
+        float weight[4], linear[2];
+
+        SVGF_HD explicit Cubic(float t)
+            : weight{0.5f * t * ((2.0f - t) * t - 1.0f), 1.0f + t * t * (1.5f * t - 2.5f),
+                     0.5f * t * ((4.0f - 3.0f * t) * t + 1.0f), 0.5f * t * t * (t - 1.0f)},
+              linear{1.0f - t, t} {}
     };
 
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
@@ -240,23 +250,31 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Bilinear, inside the frame.
+    // Inside the frame. Catmull-Rom, without the four corners, which weigh least, and never beyond the four pixels around.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
-        const float fx = px - float(left), fy = py - float(top);
-        const int corner = guides.pixel(left, top);
+        const Cubic columns(px - float(left)), rows(py - float(top));
         History history;
+        Vec3 least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
+        float total = 0.0f;
         SVGF_UNROLL
-        for (int j = 0; j < 2; ++j)
+        for (int j = 0; j < 4; ++j)
             SVGF_UNROLL
-            for (int i = 0; i < 2; ++i) {
-                const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
-                if (!(share > 0.0f)) continue;
-                const Vec4 tap = hist_color[corner + j * guides.width + i];
-                history.color += share * tap.xyz();
-                history.mapped += share * box.map(with_brightness(tap.xyz()));
-                history.frames += share * fast_sqrt(tap.w);
+            for (int i = 0; i < 4; ++i) {
+                const bool is_beside = i == 0 || i == 3, is_above = j == 0 || j == 3;
+                const float share = columns.weight[i] * rows.weight[j];
+                if ((is_beside && is_above) || share == 0.0f) continue;
+                const Vec4 tap = hist_color[guides.nearest_pixel(left + i - 1, top + j - 1)];
+                const Vec3 mapped = box.map(with_brightness(tap.xyz()));
+                total += share;
+                history.mapped += share * mapped;
+                if (is_beside || is_above) continue;
+                least = min(least, mapped);
+                most = max(most, mapped);
+                history.color = tap.xyz();
+                history.frames += columns.linear[i - 1] * rows.linear[j - 1] * fast_sqrt(tap.w);
             }
+        history.mapped = min(max(history.mapped * fast_reciprocal(total), least), most);
         return history;
     }
 

@@ -8,16 +8,22 @@
 //   variance too: reading them as 0 would under-estimate it along every border.
 // - The centre weighs h(0)^2 whatever its normal, so that the sum of weights is never 0.
 // Of svgf+ alone:
-// - Eq. 5 is a Gaussian of the luminance difference over the variances of both pixels, which is what the difference of
-//   two means has: weights are the same from p to q and from q to p, so that the filter keeps the light. With the
-//   centre's variance alone, pixels that happen to have seen no light, and so seem to be certain, take in none, while
-//   the lit ones around take in their darkness.
-// - The centre's variance is prefiltered at every level, over that level's taps: one that seems to be certain learns
-//   from farther and farther away that it is not.
-// - A signal with reflections does neither: at the border of a bright one the dark side is certain indeed.
-//   Diffuse light alone, of the arcade of temporal_plus.h, whole pictures of frames 5, 8, 12 and 16; FLIP over that of
-//   OIDN 2.5.1, and the mean of the first over the truth's: 1.19 and 0.919 before these, the second difference and
-//   young_frames of temporal_plus.h, 0.98 and 0.951 with them; the box of metal and glass 1.18 and 1.02.
+// - Eq. 5 is a Gaussian of the difference of two means, over the larger of their variances: weights are the same from p
+//   to q and from q to p, so that the filter keeps the light. With the centre's variance alone, pixels that happen to
+//   have seen no light, and so seem to be certain, take in none, while the lit ones around take in their darkness. (The
+//   sum of the variances is what theory asks for; the larger has as low errors, and needs one division per pixel, not
+//   per tap.)
+// - The centre's variance of diffuse light is prefiltered at every level, over that level's taps: one that seems to be
+//   certain learns from farther and farther away that it is not.
+// - At the border of a sharp reflection the dark side is certain indeed: the glossier a surface is, the less the tap's
+//   variance counts for its specular signal, and for a mirror not at all.
+//   Measured as in temporal_plus.h, on whole pictures of frames 5, 8, 12 and 16: relMSE and FLIP over those of OIDN
+//   2.5.1, and the mean of the first over the truth's:
+//
+//                                       box of metal and glass    arcade              toys
+//   centre's variance alone             @1
+//   and diffuse light as above          @2
+//   and specular light by its gloss     @3
 // From [Dammertz10], of which the text and the listing at its end disagree: weights are Gaussians of squared distances,
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.
@@ -97,6 +103,7 @@ private:
 template <class Method, int Signals, int PhasesLog2, class Sink>
 struct Atrous {
     using Storage = typename Method::Storage;
+    using Gradient = typename Storage::Gradients::Texel;
     static constexpr int radius = Method::radius, rows_per_thread = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
@@ -106,6 +113,7 @@ struct Atrous {
     struct Tile {
         Vec4 surface[places];  // normal, depth; depth is infinity where there is nothing to filter
         Vec4 color[Signals][places];
+        float certainty[Signals][Method::compares_taps ? places : 1];  // what Eq. 5 scales squared differences with
     };
     struct Texel {
         typename Storage::Guides::Texel guide;
@@ -113,7 +121,7 @@ struct Atrous {
         bool is_inside;
     };
     struct Own {
-        Vec2 gradient[rows_per_thread];
+        Gradient gradient[rows_per_thread];
     };
 
     typename Storage::Guides guides;
@@ -145,7 +153,10 @@ struct Atrous {
         Vec4 surface = guides.normal_depth(texel.guide);
         if (!texel.is_inside || !is_surface(surface.w)) surface.w = infinity;
         tile.surface[place] = surface;
-        for (int s = 0; s < Signals; ++s) tile.color[s][place] = in_color[s].unpack(texel.color[s]);
+        for (int s = 0; s < Signals; ++s) {
+            tile.color[s][place] = in_color[s].unpack(texel.color[s]);
+            if constexpr (Method::compares_taps) tile.certainty[s][place] = certainty(tile.color[s][place].w);
+        }
     }
     SVGF_HD Own fetch_own(int tile_column, int tile_row, int thread_x, int thread_y) const {
         const int x = lattice.x(tile_column, thread_x + Lattice::margin);
@@ -153,7 +164,7 @@ struct Atrous {
         SVGF_UNROLL
         for (int p = 0; p < rows_per_thread; ++p)
             own.gradient[p] =
-                gradients[guides.nearest_pixel(x, lattice.y(tile_row, thread_y * rows_per_thread + p + radius))];
+                gradients.fetch(guides.nearest_pixel(x, lattice.y(tile_row, thread_y * rows_per_thread + p + radius)));
         return own;
     }
 
@@ -175,16 +186,17 @@ struct Atrous {
                 const int place = upper + j * Lattice::below + i * Lattice::right;
                 const Vec4 surface = tile.surface[place];
                 Vec4 color[Signals];
-                float light[Signals];
+                float light[Signals], certainty[Signals];
                 SVGF_UNROLL
                 for (int s = 0; s < Signals; ++s) {
                     color[s] = tile.color[s][place];
                     light[s] = luminance(color[s].xyz());
+                    certainty[s] = tile.certainty[s][Method::compares_taps ? place : 0];
                 }
                 SVGF_UNROLL
                 for (int p = 0; p < rows_per_thread; ++p)
                     if (j - p >= -radius && j - p <= radius && !(i == 0 && j == p))
-                        pixels[p].add(i, j - p, surface, color, light);
+                        pixels[p].add(i, j - p, surface, color, light, certainty);
             }
         }
         SVGF_UNROLL
@@ -199,12 +211,12 @@ private:
         EdgeWeight<typename Method::Normal> edge;
         float depth_scale[radius + 1][2 * radius + 1];  // by row and column of the taps below; above they are the same
         float light[Signals], weight[Signals];
-        // Of Eq. 5: Published scales the difference; svgf+ has variances over the sharpness that log2_e and sigma give.
-        float light_scale[Signals], own_variance[Signals], tap_variance_scale[Signals];
+        // Of Eq. 5: Published scales the difference, svgf+ its square. The gloss makes taps more certain.
+        float light_scale[Signals], tap_scale[Signals];
         Vec4 sum[Signals];
 
-        SVGF_HD void begin(const Atrous& stage, const Tile& tile, Vec2 gradient, int place, int x, int y) {
-            edge = {tile.surface[place], gradient, stage.sigma_depth, stage.sigma_normal};
+        SVGF_HD void begin(const Atrous& stage, const Tile& tile, const Gradient& gradient, int place, int x, int y) {
+            edge = {tile.surface[place], Storage::Gradients::unpack(gradient), stage.sigma_depth, stage.sigma_normal};
             const float step = float(1 << stage.lattice.level);
             SVGF_UNROLL
             for (int j = 0; j <= radius; ++j)
@@ -218,10 +230,12 @@ private:
                 const Vec4 color = tile.color[s][place];
                 constexpr float w = kernel<radius>(0) * kernel<radius>(0);
                 light[s] = luminance(color.xyz());
+                if constexpr (Method::compares_taps) {
+                    const float gloss = stage.has_reflections[s] ? Storage::Gradients::gloss(gradient) : 0.0f;
+                    tap_scale[s] = gloss < 1.0f ? fast_reciprocal(1.0f - gloss) : largest_float;
+                }
                 if constexpr (Method::compares_means) {
-                    const float scale = square(stage.sigma_luminance) * ln_2;
-                    own_variance[s] = scale * variance[s] + square(luminance_epsilon);
-                    tap_variance_scale[s] = stage.has_reflections[s] ? 0.0f : scale;
+                    light_scale[s] = stage.certainty(variance[s]);
                 } else {
                     light_scale[s] =
                         -log2_e * fast_reciprocal(stage.sigma_luminance * fast_sqrt(variance[s]) + luminance_epsilon);
@@ -232,7 +246,8 @@ private:
         }
 
         // The tap (i, j) steps away [Schied17, Eq. 1, 2].
-        SVGF_HD void add(int i, int j, Vec4 surface, const Vec4 (&color)[Signals], const float (&tap_light)[Signals]) {
+        SVGF_HD void add(int i, int j, Vec4 surface, const Vec4 (&color)[Signals], const float (&tap_light)[Signals],
+                         [[maybe_unused]] const float (&certainty)[Signals]) {
             const bool above = j < 0 || (j == 0 && i < 0);
             const float w_log = edge(surface, depth_scale[above ? -j : j][(above ? -i : i) + radius],
                                      kernel_log2<radius>(i, j));
@@ -240,12 +255,10 @@ private:
             for (int s = 0; s < Signals; ++s) {
                 const float difference = tap_light[s] - light[s];
                 const Vec4 c = color[s];
-                float w;
-                if constexpr (Method::compares_means)
-                    w = fast_exp2(w_log - square(difference) *
-                                              fast_reciprocal(own_variance[s] + tap_variance_scale[s] * c.w));
-                else
-                    w = fast_exp2(std::fabs(difference) * light_scale[s] + w_log);
+                float scale = light_scale[s];
+                if constexpr (Method::compares_taps) scale = fast_min(scale, certainty[s] * tap_scale[s]);
+                const float w = Method::compares_means ? fast_exp2(w_log - square(difference) * scale)
+                                                       : fast_exp2(std::fabs(difference) * scale + w_log);
                 weight[s] += w;
                 sum[s] = {sum[s].x + w * c.x, sum[s].y + w * c.y, sum[s].z + w * c.z, sum[s].w + w * w * c.w};
             }
@@ -265,8 +278,17 @@ private:
         }
     };
 
+    SVGF_HD float certainty(float variance) const {
+        return fast_reciprocal((square(sigma_luminance) * ln_2) * variance + square(luminance_epsilon));
+    }
+
     // g_3x3(Var) [Schied17, Eq. 5] around a pixel that stands in the tile's `place`.
     SVGF_HD void prefilter_variance(const Tile& tile, int place, int x, int y, float (&variance)[Signals]) const {
+        constexpr bool is_first = PhasesLog2 == 0;
+        if constexpr (Method::compares_means && !Method::compares_taps && !is_first) {
+            for (int s = 0; s < Signals; ++s) variance[s] = tile.color[s][place].w;
+            return;
+        }
         float weight = 0.0f;
         for (int s = 0; s < Signals; ++s) variance[s] = 0.0f;
         SVGF_UNROLL
@@ -274,7 +296,7 @@ private:
             SVGF_UNROLL
             for (int i = -1; i <= 1; ++i) {
                 const float w = gaussian(i) * gaussian(j);
-                if constexpr (Method::compares_means || PhasesLog2 == 0) {  // the level's taps
+                if constexpr (Method::compares_means || is_first) {  // the level's taps
                     const int tap = place + j * Lattice::below + i * Lattice::right;
                     if (!is_surface(tile.surface[tap].w)) continue;
                     weight += w;
@@ -290,7 +312,7 @@ private:
             }
         for (int s = 0; s < Signals; ++s) {
             variance[s] *= fast_reciprocal(max(weight, 1e-30f));
-            if (Method::compares_means && PhasesLog2 > 0 && has_reflections[s]) variance[s] = tile.color[s][place].w;
+            if (Method::compares_means && !is_first && has_reflections[s]) variance[s] = tile.color[s][place].w;
         }
     }
 };

@@ -56,9 +56,10 @@ struct NoisyFrame {
     const float* in_depth;
     const float* in_depth_gradient;
     const int32_t* in_object_id;
+    const float* in_roughness = nullptr;  // null: of a mirror
 
     int bytes_per_pixel() const {
-        int bytes = 12 + 4 + (in_depth_gradient ? 8 : 0) + (in_object_id ? 4 : 0);
+        int bytes = 12 + 4 + (in_depth_gradient ? 8 : 0) + (in_object_id ? 4 : 0) + (in_roughness ? 4 : 0);
         for (int s = 0; s < Signals; ++s) bytes += 12 + in_albedo[s].bytes_per_pixel();
         return bytes;
     }
@@ -114,6 +115,15 @@ struct NoisyFrame {
         const int pixel = y * width + x;
         return {given_gradient(in_depth_gradient[2 * pixel], repaired),
                 given_gradient(in_depth_gradient[2 * pixel + 1], repaired)};
+    }
+
+    // Of the specular signal, see guides.h. What is no roughness counts as a mirror's.
+    SVGF_HD float gloss(int pixel, int& repaired) const {
+        if (!in_roughness) return 1.0f;
+        const float roughness = in_roughness[pixel];
+        if (in_range(roughness, 0.0f, 1.0f)) return gloss_of(roughness);
+        ++repaired;
+        return 1.0f;
     }
 
 private:

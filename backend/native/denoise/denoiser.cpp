@@ -168,6 +168,7 @@ NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
     frame.in_depth = inputs.depth;
     frame.in_depth_gradient = inputs.depth_gradient;
     frame.in_object_id = inputs.object_id;
+    if (method_ == DenoiseMethod::svgf_plus && inputs.is_specular[Signals - 1]) frame.in_roughness = inputs.roughness;
     return frame;
 }
 
@@ -239,6 +240,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
         const float sharper = inputs.is_specular[s] ? 1.0f / settings_.specular_sharpness : 1.0f;
         stage.is_specular[s] = inputs.is_specular[s];
         stage.has_reflections[s] = has_reflections_[s] = inputs.has_reflections[s];
+        all_sharp_ = (s == 0 || all_sharp_) && inputs.has_reflections[s] && !stage.frame.in_roughness;
         stage.history_clamp[s] = inputs.is_unchanged     ? never
                                  : inputs.is_specular[s] ? settings_.specular_history_clamp
                                                          : settings_.history_clamp;
@@ -296,8 +298,8 @@ void Denoiser::variance() {
 template <class Method, int Signals, class Sink>
 void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink) {
     using Storage = typename Method::Storage;
-    const auto launch = [&]<int PhasesLog2>() {
-        Atrous<Method, Signals, PhasesLog2, Sink> stage;
+    const auto launch = [&]<class Filter, int PhasesLog2>() {
+        Atrous<Filter, Signals, PhasesLog2, Sink> stage;
         stage.guides = guides_of<Storage>(guides_);
         stage.gradients = gradients<Storage>();
         stage.lattice = {level, width_, height_};
@@ -312,10 +314,15 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         stage.sink = sink;
         launch_tiles(name, stage);
     };
-    static_assert(most_phases_log2 == 2);
-    if (level == 0) launch.template operator()<0>();
-    else if (level == 1) launch.template operator()<1>();
-    else launch.template operator()<2>();
+    const auto launch_level = [&]<class Filter>() {
+        static_assert(most_phases_log2 == 2);
+        if (level == 0) launch.template operator()<Filter, 0>();
+        else if (level == 1) launch.template operator()<Filter, 1>();
+        else launch.template operator()<Filter, 2>();
+    };
+    if constexpr (std::is_same_v<Method, Plus>)
+        if (all_sharp_) return launch_level.template operator()<SharpPlus>();
+    launch_level.template operator()<Method>();
 }
 
 template <class Method, int Signals>

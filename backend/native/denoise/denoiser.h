@@ -47,6 +47,7 @@ struct DenoiseInputs {
     bool is_specular[max_signals] = {};     // reflections: filtered less, and not tied to the surface's motion
     bool has_reflections[max_signals] = {};  // alone or with other light: all but diffuse
     const float* albedo[max_signals][2] = {};  // [H, W, 3], summed; both null: 1
+    const float* roughness = nullptr;       // [H, W] of the specular signal, 0 to 1; null: 0
     const float* emission = nullptr;        // [H, W, 3]; null: 0
     const float* normal = nullptr;          // [H, W, 3] world space
     const float* depth = nullptr;           // [H, W] planar
@@ -62,8 +63,8 @@ struct DenoiseInputs {
 };
 
 // Fills the inputs by the public names: signals "diffuse" and "specular", "direct" and "indirect" or "color", with
-// "diffuse_albedo", "specular_albedo" or "albedo"; "emission", "normal", "depth", "depth_gradient", "motion",
-// "object_id". `image` gives each by its name, or an empty view. Throws InputError if no signal is given.
+// "diffuse_albedo", "specular_albedo" or "albedo"; "roughness", "emission", "normal", "depth", "depth_gradient",
+// "motion", "object_id". `image` gives each by its name, or an empty view. Throws InputError if no signal is given.
 DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* name)>& image);
 
 // Where the results go: float32 images on the device, owned by the caller.
@@ -227,7 +228,8 @@ private:
     Memory moments_, previous_moments_;   // of luminance, likewise
     Memory next_history_;                 // svgf+: temporal writes it while it reads history_
     Memory resolved_;                     // svgf+: what antialias has written
-    bool has_reflections_[max_signals] = {};  // of the frame at hand
+    // Of the frame at hand; all_sharp_: any light of any pixel may be a sharp reflection.
+    bool has_reflections_[max_signals] = {}, all_sharp_ = false;
     bool has_resolved_ = false;
     const DenoiseDiagnostics* diagnostics_ = nullptr;  // during a frame that was asked for them
     std::byte* borrowed_working_[max_signals] = {};  // svgf+, during a frame: memory that is another's

@@ -19,6 +19,7 @@ DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* na
         ++inputs.signals;
     }
     if (inputs.signals == 0) throw InputError("No signal is given: diffuse, specular, direct, indirect or color.");
+    inputs.roughness = floats("roughness");
     inputs.emission = floats("emission");
     inputs.normal = floats("normal");
     inputs.depth = floats("depth");

@@ -45,7 +45,10 @@ private:
         for (int s = 0; s < Signals; ++s) frame.illumination(s, pixel, repaired);
         int32_t id;
         frame.surface(x, y, id, repaired);
-        if (id != 0) frame.gradient(x, y, id, repaired);
+        if (id != 0) {
+            frame.gradient(x, y, id, repaired);
+            frame.gloss(pixel, repaired);
+        }
         if (in_emission) repair(load3(in_emission, pixel), repaired);
         return repaired;
     }

@@ -58,6 +58,16 @@ SVGF_HD inline Vec3 load3(const float* image, int pixel) {
     return {image[3 * pixel], image[3 * pixel + 1], image[3 * pixel + 2]};
 }
 
+// How sharp reflections are: 1 show edges, as a mirror's do, 0 are as smooth as diffuse light. Between these roughnesses
+// it falls, in thirds.
+constexpr float mirror_roughness = 0.1f, matte_roughness = 0.4f;
+constexpr int gloss_steps = 3;
+
+SVGF_HD inline float gloss_of(float roughness) {
+    const float gloss = saturate((matte_roughness - roughness) * (1.0f / (matte_roughness - mirror_roughness)));
+    return std::floor(gloss * float(gloss_steps) + 0.5f) * (1.0f / float(gloss_steps));
+}
+
 SVGF_HD inline bool is_surface(float depth) { return depth < background_depth; }
 
 constexpr float log2_e = 1.44269504088896341f, ln_2 = 0.693147180559945309f;

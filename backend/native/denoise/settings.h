@@ -49,7 +49,7 @@ namespace svgf {
             "svgf+: luminance differences that count as noise; larger blurs more.")                                    \
     SETTING(plus_sigma_normal, float, 32.0, 1e-3, 1e6, "", "sigma_n",                                                  \
             "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \
-    SETTING(antialias_frames, float, 3.0, 1.0, 1024.0, "frames", "",                                                   \
+    SETTING(antialias_frames, float, 3.5, 1.0, 1024.0, "frames", "",                                                   \
             "svgf+: frames over which the picture is resolved where something moves. 1: not at all.")                  \
     SETTING(eaw_sigma_color, float, 4.0, 1e-6, 1e6, "demodulated radiance", "sigma_rt",                                \
             "Colour differences that count as noise at level 0; halved at each level.")                                \

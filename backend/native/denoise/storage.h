@@ -82,6 +82,9 @@ struct FloatStorage {
 
         Gradients() = default;
         Gradients(void* memory) : texels(static_cast<Vec2*>(memory)) {}
+        using Texel = Vec2;
+        SVGF_HD Texel fetch(int pixel) const { return texels[pixel]; }
+        SVGF_HD static Vec2 unpack(const Texel& texel) { return texel; }
         SVGF_HD Vec2 operator[](int pixel) const { return texels[pixel]; }
         SVGF_HD void store(int pixel, Vec2 gradient) const { texels[pixel] = gradient; }
     };
@@ -173,26 +176,31 @@ struct PackedStorage {
         Guide* texels_ = nullptr;
     };
 
-    // 2 x 16 bits: sign, 7 of exponent, 8 of mantissa.
+    // 2 x 16 bits: sign, 7 of exponent, 7 of mantissa; a bit of the gloss (guides.h), which knows four steps.
     struct Gradients {
         uint32_t* texels = nullptr;
 
         Gradients() = default;
         Gradients(void* memory) : texels(static_cast<uint32_t*>(memory)) {}
-        SVGF_HD Vec2 operator[](int pixel) const {
-            const uint32_t packed = texels[pixel];
-            return {decode_slope(packed & 0xffffu), decode_slope(packed >> 16)};
+        using Texel = uint32_t;
+        SVGF_HD Texel fetch(int pixel) const { return texels[pixel]; }
+        SVGF_HD static Vec2 unpack(Texel texel) { return {decode_slope(texel), decode_slope(texel >> 16)}; }
+        SVGF_HD static float gloss(Texel texel) {
+            return float((texel & 1u) | (texel >> 15 & 2u)) * (1.0f / 3.0f);
         }
-        SVGF_HD void store(int pixel, Vec2 gradient) const {
-            texels[pixel] = encode_slope(gradient.x) | encode_slope(gradient.y) << 16;
+        SVGF_HD Vec2 operator[](int pixel) const { return unpack(texels[pixel]); }
+        SVGF_HD void store(int pixel, Vec2 gradient, float gloss = 1.0f) const {
+            const uint32_t step = uint32_t(gloss * 3.0f + 0.5f);
+            texels[pixel] = encode_slope(gradient.x) | (step & 1u) | (encode_slope(gradient.y) | step >> 1) << 16;
         }
 
     private:
+        // The lowest of the 16 bits is left to the gloss.
         SVGF_HD static uint32_t encode_slope(float slope) {
-            return encode_positive<8>(std::fabs(slope)) | (slope < 0.0f ? 0x8000u : 0u);
+            return encode_positive<7>(std::fabs(slope)) << 1 | (slope < 0.0f ? 0x8000u : 0u);
         }
         SVGF_HD static float decode_slope(uint32_t code) {
-            const float slope = decode_positive<8>(code & 0x7fffu);
+            const float slope = decode_positive<7>(code >> 1 & 0x3fffu);
             return code & 0x8000u ? -slope : slope;
         }
     };

@@ -176,7 +176,7 @@ private:
         }
         int repaired = 0;
         const Vec2 gradient = frame.gradient(x, y, id, repaired);
-        out_gradients.store(pixel, gradient);
+        out_gradients.store(pixel, gradient, frame.gloss(pixel, repaired));
         typename Reprojection<Storage>::Point point;
         const int32_t stored_id = out_guides.stored_id(id);
         const bool reaches = reprojection.find(x, y, surface, gradient, stored_id, point, repaired);

@@ -76,15 +76,9 @@ def antialias(
     past_linear, past, frames = xp.zeros(color.shape), xp.zeros(color.shape), xp.zeros(depth.shape)
     if history is not None:
         left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
-        for j in (0, 1):
-            for i in (0, 1):
-                share = (x - left if i else 1.0 - (x - left)) * (y - top if j else 1.0 - (y - top))
-                share = xp.where(reachable, share, 0.0)
-                row, column = xp.minimum(top + j, height - 1), xp.minimum(left + i, width - 1)
-                tapped = history.color[row, column]
-                past_linear = past_linear + share[..., None] * tapped
-                past = past + share[..., None] * map_(tapped)
-                frames = frames + share * history.frames[row, column]
+        past_linear = xp.where(reachable[..., None], history.color[top, left], 0.0)  # where nothing moves
+        past, frames = _catmull_rom(map_, history, x, y)
+        past, frames = xp.where(reachable[..., None], past, 0.0), xp.where(reachable, frames, 0.0)
 
     known = frames > 0.5
     still &= known
@@ -111,6 +105,41 @@ def antialias(
     rate = BLEND_RATE + (STILL_RATE - BLEND_RATE) * share
     resolved = xp.where(goes_on[..., None], past_linear + (sample - past_linear) * rate / n[..., None], resolved)
     return Resolved(resolved, n)
+
+
+def _catmull_rom(map_: Any, history: Resolved, x: Any, y: Any) -> tuple[Any, Any]:
+    """The mapped history [H, W, 3] at places inside the frame, without the corners of the 4x4 pixels and never beyond
+    the inner four; and the frames [H, W] in it, bilinear."""
+    xp = namespace(x)
+    height, width = x.shape
+    left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
+
+    def cubic(t: Any) -> list[Any]:
+        return [
+            0.5 * t * ((2.0 - t) * t - 1.0),
+            1.0 + t * t * (1.5 * t - 2.5),
+            0.5 * t * ((4.0 - 3.0 * t) * t + 1.0),
+            0.5 * t * t * (t - 1.0),
+        ]
+
+    columns, rows = cubic(x - left), cubic(y - top)
+    total, color, frames = xp.zeros(x.shape), xp.zeros((*x.shape, 3)), xp.zeros(x.shape)
+    least, most = xp.full(color.shape, xp.inf), xp.full(color.shape, -xp.inf)
+    for j in range(4):
+        for i in range(4):
+            is_inner = i in (1, 2) and j in (1, 2)
+            if i in (0, 3) and j in (0, 3):
+                continue
+            at = xp.clip(top + j - 1, 0, height - 1), xp.clip(left + i - 1, 0, width - 1)
+            share, mapped = columns[i] * rows[j], map_(history.color[at])
+            total, color = total + share, color + share[..., None] * mapped
+            if is_inner:
+                counts = (share != 0.0)[..., None]
+                least = xp.where(counts, xp.minimum(least, mapped), least)
+                most = xp.where(counts, xp.maximum(most, mapped), most)
+                near = (x - left if i == 2 else 1.0 - (x - left)) * (y - top if j == 2 else 1.0 - (y - top))
+                frames = frames + near * history.frames[at]
+    return xp.clip(color / total[..., None], least, most), frames
 
 
 def _white(colors: Any) -> Any:

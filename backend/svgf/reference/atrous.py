@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from .guides import Guides, edge_weight, luminance, namespace, tap
@@ -71,16 +72,17 @@ BINOMIAL = (1.0 / 2.0, 1.0 / 4.0)
 
 
 def atrous_plus(
-    color: list[Any], variance: list[Any], has_reflections: list[bool], guides: Guides, level: int, settings: Any
+    color: list[Any], variance: list[Any], gloss: list[Any], guides: Guides, level: int, settings: Any
 ) -> tuple[list[Any], list[Any]]:
     """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian
-    of the luminance difference for Eq. 5, over the prefiltered variance and the tap's. has_reflections: per signal; its
-    variance is prefiltered at the first level alone, and its tap's does not count."""
+    of the luminance difference for Eq. 5, over the larger of the centre's variance and the tap's. gloss: per signal,
+    None for diffuse light, whose variance is prefiltered at every level, not at the first alone; else [H, W] or a
+    number, by which the tap's variance counts for less."""
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
     filtered = [
-        v if reflects and level > 0 else prefilter(v, guides, 2**level)
-        for v, reflects in zip(variance, has_reflections, strict=True)
+        v if g is not None and level > 0 else prefilter(v, guides, 2**level)
+        for v, g in zip(variance, gloss, strict=True)
     ]
     weight = [xp.zeros(light[0].shape) for _ in color]
     color_sum = [xp.zeros(c.shape) for c in color]
@@ -96,11 +98,12 @@ def atrous_plus(
             w_geometry = w_geometry * BINOMIAL[abs(i)] * BINOMIAL[abs(j)]
             for s in range(len(color)):
                 _, tap_color, tap_variance, tap_light = tap(dx, dy, color[s], variance[s], light[s])
-                both = filtered[s] if has_reflections[s] else filtered[s] + tap_variance
-                exponent = (light[s] - tap_light) ** 2 / (
-                    settings.plus_sigma_luminance**2 * both + LUMINANCE_EPSILON**2
+                own, tapped = (
+                    settings.plus_sigma_luminance**2 * v + LUMINANCE_EPSILON**2 / math.log(2.0)
+                    for v in (filtered[s], tap_variance)
                 )
-                w = w_geometry * xp.exp(-exponent)
+                larger = xp.maximum(own, tapped * (1.0 - (0.0 if gloss[s] is None else gloss[s])))
+                w = w_geometry * xp.exp(-((light[s] - tap_light) ** 2) / larger)
                 weight[s] = weight[s] + w
                 color_sum[s] = color_sum[s] + w[..., None] * tap_color
                 variance_sum[s] = variance_sum[s] + w**2 * tap_variance

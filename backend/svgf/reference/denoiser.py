@@ -20,7 +20,7 @@ from .atrous import atrous, atrous_plus, edge_avoiding
 from .demodulate import demodulate, repair, signal_albedo
 from .diagnose import motion_error, repaired_values, reset_reason
 from .device import Device
-from .guides import Guides, luminance, namespace, repair_guides
+from .guides import Guides, gloss_of, in_range, luminance, namespace, repair_guides
 from .modulate import modulate
 from .reprojection import reproject
 from .resample import resample
@@ -115,10 +115,12 @@ class Denoiser:
                 )  # fmt: skip
             repaired += count
             color = self.history.color
+            gloss, bad = _gloss(signals, inputs, guides)
+            repaired += bad
             length = xp.minimum.reduce(self.history.frames)
             for level in range(self.settings.levels):
                 with timed("atrous"):
-                    color, spread = atrous_plus(color, spread, _with_reflections(signals), guides, level, self.settings)
+                    color, spread = atrous_plus(color, spread, gloss, guides, level, self.settings)
             self.history = replace(self.history, filtered=[luminance(c) for c in color])
         elif self.method == "svgf":
             with timed("temporal"):
@@ -164,8 +166,9 @@ class Denoiser:
             "motion_error": motion_error(guides, point, inputs.get("window", DEFAULT_WINDOW)),
             "reset_reason": reset_reason(guides, point, changed),
             "repaired_values": repaired_values(
-                inputs, {signal: SIGNAL_ALBEDOS[signal] for signal in signals}, point is not None
-            ),
+                inputs, {signal: SIGNAL_ALBEDOS[signal] for signal in signals}, point is not None,
+                self.method == "svgf+",
+            ),  # fmt: skip
             "suppressed_light": fireflies.image,
         }
 
@@ -178,7 +181,8 @@ class Denoiser:
             variance, drift and changed, hist_filtered0 the luminance after the filter, variance0 goes with color0;
             signal 1 is the specular one.
         variance: moments0, history_length, guides -> variance0.
-        atrous: color0, variance0, guides, (eaw: window; svgf+: signal 1 is the specular one) -> color0, variance0 (svgf).
+        atrous: color0, variance0, guides, (eaw: window; svgf+: signal 1 is the specular one, roughness) -> color0,
+            variance0 (svgf).
         modulate: color0, variance0 (svgf), the public images -> color, variance.
         antialias: unresolved, moments0, the public images, depth, motion, resolved, resolved_frames
             -> color, resolved_frames.
@@ -234,10 +238,8 @@ class Denoiser:
                 window = arrays.get("window", DEFAULT_WINDOW)
                 return _numbered("color", edge_avoiding(color, guides, window, level, self.settings))
             if self.method == "svgf+":
-                has_reflections = [False, True][: len(color)]
-                color, spread = atrous_plus(
-                    color, _listed(arrays, "variance"), has_reflections, guides, level, self.settings
-                )
+                gloss, _ = _gloss(["diffuse", "specular"][: len(color)], arrays, guides)
+                color, spread = atrous_plus(color, _listed(arrays, "variance"), gloss, guides, level, self.settings)
             else:
                 color, spread = atrous(color, _listed(arrays, "variance"), guides, level, self.settings)
             return {**_numbered("color", color), **_numbered("variance", spread)}
@@ -303,6 +305,16 @@ def _any(masks: list[Any]) -> Any:
 
 def _with_reflections(signals: list[str]) -> list[bool]:
     return [signal != "diffuse" for signal in signals]
+
+
+def _gloss(signals: list[str], images: dict[str, Any], guides: Guides) -> tuple[list[Any], int]:
+    """Per signal as ``atrous_plus`` takes it; and on how many surfaces the roughness was none."""
+    gloss: list[Any] = [1.0 if reflects else None for reflects in _with_reflections(signals)]
+    roughness = images.get("roughness")
+    if roughness is None or "specular" not in signals:
+        return gloss, 0
+    gloss[signals.index("specular")] = gloss_of(roughness)
+    return gloss, int((guides.surface & ~in_range(roughness, 0.0, 1.0)).sum())
 
 
 def _specular(signals: list[str]) -> list[bool]:

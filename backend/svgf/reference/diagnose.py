@@ -38,9 +38,11 @@ def motion_error(guides: Guides, point: Reprojection | None, window: Any) -> Any
     return xp.where(there.inside & there.same_object & guides.surface, xp.abs(there.depth_error) / per_pixel, 0.0)
 
 
-def repaired_values(inputs: dict[str, Any], signals: dict[str, tuple[str, ...]], reads_motion: bool) -> Any:
+def repaired_values(
+    inputs: dict[str, Any], signals: dict[str, tuple[str, ...]], reads_motion: bool, reads_roughness: bool
+) -> Any:
     """[H, W]: how many of a pixel's inputs were repaired. signals: the albedos of each. reads_motion: there is
-    history."""
+    history. reads_roughness: of a specular signal."""
     depth = inputs["depth"]
     xp = namespace(depth)
     bad = xp.zeros(depth.shape)
@@ -63,6 +65,8 @@ def repaired_values(inputs: dict[str, Any], signals: dict[str, tuple[str, ...]],
     surface = named & good & (xp.where(good, depth, BACKGROUND_DEPTH) < BACKGROUND_DEPTH)
     if "depth_gradient" in inputs:
         bad = bad + xp.where(surface[..., None], ~xp.isfinite(inputs["depth_gradient"]), 0).sum(axis=-1)
+    if reads_roughness and "specular" in signals and "roughness" in inputs:
+        bad = bad + (surface & ~in_range(inputs["roughness"], 0.0, 1.0))
     if reads_motion and inputs.get("motion") is not None:
         bad = bad + (surface & ~xp.isfinite(inputs["motion"]).all(axis=-1))
     return bad

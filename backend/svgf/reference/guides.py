@@ -19,6 +19,9 @@ LARGEST_GRADIENT = 1e10
 # Share of depth that Eq. 3 forgives where the gradient vanishes, instead of the paper's absolute epsilon: curvature
 # and rounding grow with depth, and a scene may be of any scale.
 DEPTH_EPSILON = 1e-3
+# Roughness of surfaces whose reflections are as sharp as a mirror's, and as smooth as diffuse light.
+MIRROR_ROUGHNESS, MATTE_ROUGHNESS = 0.1, 0.4
+GLOSS_STEPS = 3
 
 
 def namespace(array: Any) -> ModuleType:
@@ -45,6 +48,14 @@ class Guides:
 def luminance(color: Any) -> Any:
     """color [..., 3] linear Rec.709 -> [...]."""
     return color[..., 0] * 0.2126 + color[..., 1] * 0.7152 + color[..., 2] * 0.0722
+
+
+def gloss_of(roughness: Any) -> Any:
+    """How sharp reflections are, [0, 1] in thirds. What is no roughness counts as a mirror's."""
+    xp = namespace(roughness)
+    roughness = xp.where(in_range(roughness, 0.0, 1.0), roughness, 0.0)
+    gloss = xp.clip((MATTE_ROUGHNESS - roughness) / (MATTE_ROUGHNESS - MIRROR_ROUGHNESS), 0.0, 1.0)
+    return xp.floor(gloss * GLOSS_STEPS + 0.5) / GLOSS_STEPS
 
 
 def in_range(values: Any, low: float, high: float) -> Any:
