@@ -17,7 +17,8 @@ import numpy as np
 
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
-from .bsdf import TRANSMISSION, smooth_bounce
+from .bsdf import TRANSMISSION
+from .bsdf_sample import find_smooth_bounce
 from .camera import Camera
 from .gbuffer import LARGEST_GRADIENT, NO_MOTION, PrimaryRays, may_follow
 from .intersect import Hits, offset_origin
@@ -311,7 +312,7 @@ class _Walk:
 
         t = hits.t[found]
         bsdf = surface.bsdf(view)
-        bounce = smooth_bounce(bsdf)
+        bounce = find_smooth_bounce(bsdf)
         self.distance[rows[~straight]] += t[~straight]
         id_so_far = self.images["object_id"][rows]
         ids = np.where(on_chain, combined_id(id_so_far, surface.object_id), surface.object_id)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .bsdf import Bsdf, make_bsdf
+from .bsdf import Bsdf
+from .bsdf_lobes import make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .layers import column, has_smooth_coat_normal, make_layers
