@@ -27,7 +27,8 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def _diffuse(bsdf: Bsdf, light: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D and H: value [n, 3] and density [n]. What bumps hide they are found by all the same. side: [n], cosine with Ng."""
+    """D and H: value [n, 3] and density [n]. What bumps hide they are found by all the same. side: [n], cosine of light
+    with Ng."""
     view, local = (to_lobe(bsdf, vector, bsdf.diffuse_normal, bsdf.tilted_diffuse) for vector in (bsdf.view, light))
     hidden, darkening = bump_shadowing(bsdf.smooth_normal, bsdf.diffuse_normal, light)
     cosine = local[:, 2]

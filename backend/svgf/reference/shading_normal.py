@@ -18,8 +18,9 @@ SMALLEST_COS_VIEW = 0.01
 
 @dataclass
 class Orientation:
-    """Normals on the viewer's side. smooth_normal: before the normal map. diffuse_normal, coat_normal: of lobes D, H and
-    of lobe C; tilted_diffuse, tilted_coat: bool [n], where they are not ``normal``. entering: the viewer is outside."""
+    """Normals on the viewer's side. smooth_normal: before the normal map. diffuse_normal, coat_normal: of lobes D and H
+    and of lobe C; tilted_diffuse, tilted_coat: bool [n], where they are not ``normal``. entering: the viewer is
+    outside."""
 
     normal: np.ndarray
     geometric_normal: np.ndarray

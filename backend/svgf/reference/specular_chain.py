@@ -239,7 +239,8 @@ def replace_smooth_surfaces(
 ) -> np.ndarray:
     """Writes what mirrors and glass show over the images of trace_gbuffer, and keeps what the camera's rays hit
     themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see
-    find_path_hits. Returns the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
+    find_path_hits. Returns the light [n, 3] that the surfaces after the first ones send along the chains by
+    themselves."""
     for name in ("normal", "depth", "object_id", "motion"):
         images[f"first_{name}"] = images[name].copy()
     walk = _Walk(scene, rays, hits, passed, bounces, limits)
