@@ -300,33 +300,14 @@ nb::list denoise_settings() {
     return table;
 }
 
-}  // namespace
-}  // namespace svgf
+// --- Module ----------------------------------------------------------------------------------------------------------
 
-NB_MODULE(SVGF_MODULE, module) {
-    using namespace svgf;
-    nb::register_exception_translator(translate_error);
-    // At exit objects may outlive the module, held by whoever made them; that is no news for a user's terminal.
-    nb::set_leak_warnings(false);
-
+void bind_device(nb::module_& module) {
     module.def("list_devices", [] {
         std::vector<std::tuple<std::string, size_t, std::string>> devices;
         for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
         return devices;
     }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
-    module.def("kernels", [] {
-        std::vector<uint32_t> kernels;
-        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
-        return kernels;
-    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame "
-       "runs.");
-    module.def("reset_reasons", [] {
-        nb::dict result;
-        for (size_t i = 0; i < std::size(reset_reason_names); ++i)
-            result[nb::str(reset_reason_names[i].data(), reset_reason_names[i].size())] = int(i);
-        return result;
-    }, "Names and values of ResetReason in denoise/denoiser.h.");
-    module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -370,6 +351,15 @@ NB_MODULE(SVGF_MODULE, module) {
                                        : nb::object(nb::make_tuple(image.height, image.width, image.channels));
         });
 #endif
+}
+
+void bind_tracer(nb::module_& module) {
+    module.def("kernels", [] {
+        std::vector<uint32_t> kernels;
+        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
+        return kernels;
+    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame "
+       "runs.");
 
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
@@ -406,6 +396,16 @@ NB_MODULE(SVGF_MODULE, module) {
              "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false,
              "kernel"_a = 0)
         .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
+}
+
+void bind_denoiser(nb::module_& module) {
+    module.def("reset_reasons", [] {
+        nb::dict result;
+        for (size_t i = 0; i < std::size(reset_reason_names); ++i)
+            result[nb::str(reset_reason_names[i].data(), reset_reason_names[i].size())] = int(i);
+        return result;
+    }, "Names and values of ResetReason in denoise/denoiser.h.");
+    module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,
@@ -441,4 +441,17 @@ NB_MODULE(SVGF_MODULE, module) {
             for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);
             return buffers;
         }, "(name, bytes) of each buffer that the denoiser holds between frames.");
+}
+
+}  // namespace
+}  // namespace svgf
+
+NB_MODULE(SVGF_MODULE, module) {
+    using namespace svgf;
+    nb::register_exception_translator(translate_error);
+    // At exit objects may outlive the module, held by whoever made them; that is no news for a user's terminal.
+    nb::set_leak_warnings(false);
+    bind_device(module);
+    bind_tracer(module);
+    bind_denoiser(module);
 }

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..devices import Device
-from ..errors import InputError
 from ..frame import Frame
 from ..metrics import Flicker, flip, relative_mse
 from ..renderer import Renderer

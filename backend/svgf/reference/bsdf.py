@@ -89,6 +89,7 @@ class Bsdf:
 
     @property
     def normal(self) -> np.ndarray:
+        """N: [n, 3], unit, world, on the viewer's side."""
         return self.z
 
     @property
@@ -98,6 +99,7 @@ class Bsdf:
 
     @property
     def smooth_coat(self) -> np.ndarray:
+        """bool [n]: lobe C is a mirror."""
         return self.coat_alpha < SMOOTH_ALPHA
 
     @property
@@ -106,12 +108,15 @@ class Bsdf:
         return (self.glass_alpha < SMOOTH_ALPHA) | (self.glass_eta == 1.0)
 
     def to_local(self, vector: np.ndarray) -> np.ndarray:
+        """World vectors [n, 3] in the local frame."""
         return np.stack([dot(vector, axis) for axis in (self.x, self.y, self.z)], axis=1)
 
     def to_world(self, local: np.ndarray) -> np.ndarray:
+        """Local vectors [n, 3] in the world."""
         return local[:, 0:1] * self.x + local[:, 1:2] * self.y + local[:, 2:3] * self.z
 
     def rows(self, chosen: np.ndarray) -> Bsdf:
+        """Those of some hits. chosen: an index, or bool [n]."""
         return Bsdf(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 

@@ -122,6 +122,7 @@ class SmoothBounce:
 
 
 def find_smooth_bounce(bsdf: Bsdf) -> SmoothBounce:
+    """Where the mirrored or the refracted direction carries more than all the rest of the surface, that direction."""
     view = bsdf.to_local(bsdf.view)
     cosine = view[:, 2]
     reflectance, transmittance, _ = glass_events(bsdf, cosine)
