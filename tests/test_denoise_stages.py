@@ -52,6 +52,7 @@ def make_images(rng, signals=2, height=HEIGHT, width=WIDTH):
     for name in ("diffuse", "specular")[:signals]:
         images[name] = rng.gamma(0.5, 1.0, (height, width, 3))
         images[f"{name}_albedo"] = rng.uniform(0.0, 1.0, (height, width, 3))
+    images["roughness"] = rng.uniform(0.0, 0.5, (height, width))
     images["emission"] = rng.gamma(0.3, 1.0, (height, width, 3))
     return {name: np.asarray(image, np.float32) for name, image in images.items()}
 

@@ -114,11 +114,21 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
 
 @pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
 def test_fast_atrous_is_its_formula(device, level):
-    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the variances of both pixels, the
-    centre's prefiltered over the level's taps."""
-    images = make_images(np.random.default_rng(5), 1)
+    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the larger of both pixels' variances.
+    The centre's is prefiltered over the level's taps, the specular one at the first level alone; the tap's counts less
+    the glossier the centre is."""
+    images = make_images(np.random.default_rng(5), 2)
+    actual, _ = run(device, "svgf+", "atrous", images, level)
+    for signal in (0, 1):
+        _assert_atrous_is_its_formula(images, actual, signal, level)
+
+
+def _assert_atrous_is_its_formula(images, actual, signal, level):
     settings = DenoiseSettings()
-    color, variance = images["color0"].astype(float), images["variance0"].astype(float)
+    color, variance = images[f"color{signal}"].astype(float), images[f"variance{signal}"].astype(float)
+    # Mirror-like up to a roughness of 0.1, matte from 0.4 on, in thirds.
+    matte = np.round(np.clip((images["roughness"].astype(float) - 0.1) / 0.3, 0.0, 1.0) * 3.0) / 3.0
+    matte = matte if signal == 1 else np.ones_like(matte)
     surface = images["object_id"] != 0
     kernel = {-1: 0.25, 0: 0.5, 1: 0.25}
     expected_color, expected_variance = color.copy(), np.zeros_like(variance)
@@ -142,17 +152,17 @@ def test_fast_atrous_is_its_formula(device, level):
                 difference = abs(light(color[y, x]) - light(color[v, u]))
                 exponent = -abs(z_p - z_q) / (settings.sigma_depth * explained + 1e-3 * z_p)
                 exponent += settings.plus_sigma_normal * (cosine - 1.0) if (i, j) != (0, 0) else 0.0
-                both = blurred / norm + (variance[v, u] if (i, j) != (0, 0) else 0.0)
-                exponent -= difference**2 / (settings.plus_sigma_luminance**2 * both + 1e-20)
+                own = blurred / norm if signal == 0 or level == 0 else variance[y, x]
+                larger = max(own, matte[y, x] * variance[v, u])
+                exponent -= difference**2 / (settings.plus_sigma_luminance**2 * larger + 1e-20)
                 w = kernel[i] * kernel[j] * math.exp(exponent)
                 c_sum, v_sum, w_sum = c_sum + w * color[v, u], v_sum + w * w * variance[v, u], w_sum + w
         expected_color[y, x], expected_variance[y, x] = c_sum / w_sum, v_sum / w_sum**2
-    actual, _ = run(device, "svgf+", "atrous", images, level)
     # Weights feel the rounding of normals (1e-4 rad times sigma_n times the angle), gradients and deviations.
-    assert_colors_agree(actual["color0"], expected_color, error=0.02)
-    errors = np.abs(actual["color0"] - expected_color) / expected_color.max(axis=-1, keepdims=True)
+    assert_colors_agree(actual[f"color{signal}"], expected_color, error=0.02)
+    errors = np.abs(actual[f"color{signal}"] - expected_color) / expected_color.max(axis=-1, keepdims=True)
     assert errors.mean() < 1e-3
-    np.testing.assert_allclose(actual["variance0"], expected_variance, rtol=0.05, atol=1e-6)
+    np.testing.assert_allclose(actual[f"variance{signal}"], expected_variance, rtol=0.05, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1), (33, 17), (2, 65), (70, 40)])

@@ -164,8 +164,8 @@ public:
     //   antialias   unresolved, moments0, the public images, guides, resolved, resolved_frames
     //               -> color, resolved_frames
     // temporal of svgf+: moments are frames, variance, drift and changed, hist_filtered0 is the luminance after the
-    // filter, variance0 goes with color0, signal 1 is the specular one, and there are no prev_depth_gradient and
-    // hist_length.
+    // filter, variance0 goes with color0, signal 1 is the specular one, whose roughness atrous reads if it is given,
+    // and there are no prev_depth_gradient and hist_length.
     HostImages run_stage(const std::string& stage, const HostImages& arrays, int level = 0);
 
     Device& device() { return device_; }

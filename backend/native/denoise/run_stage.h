@@ -46,6 +46,7 @@ template <class Method, int Signals>
 HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& arrays, int level) {
     using Storage = typename Method::Storage;
     const size_t pixels = this->pixels();
+    const auto given = [&](const std::string& name) { return arrays.contains(name); };
     const auto image = [&](const std::string& name, int channels) -> const HostImage& {
         return find_image(arrays, name, pixels, channels);
     };
@@ -59,6 +60,7 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
             borrowed_working_[s] = own_working.data() + s * pixels * Storage::color_bytes;
         borrowed_gradients_ = own_gradients.data();
         if (Signals == 2) has_reflections_[1] = true;
+        all_sharp_ = false;
     }
 
     // Images are packed and unpacked on the host, by the stages' own code.
@@ -112,8 +114,13 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         const HostImage& gradient = image("depth_gradient", 2);
         std::vector<std::byte> memory(pixels * Storage::gradient_bytes);
         const typename Storage::Gradients gradients{memory.data()};
-        for (size_t i = 0; i < pixels; ++i)
-            gradients.store(int(i), {gradient.values[2 * i], gradient.values[2 * i + 1]});
+        for (size_t i = 0; i < pixels; ++i) {
+            const Vec2 slope = {gradient.values[2 * i], gradient.values[2 * i + 1]};
+            if constexpr (plus)
+                gradients.store(int(i), slope, given("roughness") ? gloss_of(image("roughness", 1).values[i]) : 1.0f);
+            else
+                gradients.store(int(i), slope);
+        }
         device_.upload(this->gradients<Storage>().texels, memory.data(), memory.size());
     };
     const auto download_guides = [&](auto&& take) {
@@ -122,7 +129,6 @@ HostImages Denoiser::run_stage_of(const std::string& stage, const HostImages& ar
         for (size_t i = 0; i < pixels; ++i) take(guides, int(i));
     };
     const auto numbered = [](const char* name, int s) { return std::string(name) + signal_suffix[s]; };
-    const auto given = [&](const std::string& name) { return arrays.contains(name); };
     const auto temporal_only = [&] {
         if (!is_temporal()) throw InputError("The stage " + stage + " belongs to svgf alone.");
     };
