@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from svgf.denoiser import Denoiser
 from svgf.metrics import relative_mse
@@ -206,6 +207,46 @@ def test_a_still_view_converges_to_its_samples(device):
         total += frame["diffuse"]
         result = denoiser.denoise(frame)
     assert relative_mse(result["color"], truth) <= 1.1 * relative_mse(total / 1024, truth)
+
+
+def rare_bright_frame(rng):
+    """One surface, albedo 1/2: a diffuse glow, and one sample in 100 that brings a third of all light."""
+    frame = make_frame()
+    light = rng.gamma(2.0, 0.5, frame["depth"].shape) * (2 / 3) + (rng.random(frame["depth"].shape) < 0.01) * (100 / 3)
+    frame["diffuse"] = frame["diffuse"] * light[..., None].astype(np.float32)
+    return frame
+
+
+def native_denoiser(device):
+    return device.denoiser(40, 24, "svgf+", DenoiseSettings().as_dict())
+
+
+def test_noise_of_a_view_at_rest_stays_small(device):
+    """What is known not to change goes over from denoised to noisy frames where the noise of their mean is at most a
+    tenth of the light (after 80 frames it would be 0.37), and rare bright samples come in slowly, until their light is
+    there."""
+    if device.name == "reference":
+        pytest.skip("a thousand frames in numpy take a minute")
+    rng = np.random.default_rng(30)
+    denoiser, deviations = native_denoiser(device), {}
+    for count in range(1, 1025):
+        result = denoiser.denoise(rare_bright_frame(rng), reset=False, diagnostics=False, unchanged=count > 16)
+        color = device.to_numpy(result["color"])[..., 0]
+        deviations[count] = (color - ndimage.gaussian_filter(color, 2.0)).std() / color.mean()
+    assert max(deviations[count] for count in range(24, 1025)) < 0.1
+    assert color.mean() == pytest.approx(0.5, rel=0.05)
+
+
+def test_a_view_at_rest_agrees_with_the_reference(device):
+    if device.name == "reference":
+        pytest.skip("against itself")
+    rng = np.random.default_rng(31)
+    native, reference = native_denoiser(device), ReferenceDenoiser(None, 40, 24, "svgf+", {})
+    for count in range(1, 33):
+        frame = rare_bright_frame(rng)
+        actual, expected = (each.denoise(frame, reset=False, unchanged=count > 16) for each in (native, reference))
+    error = np.abs(device.to_numpy(actual["color"]) - expected["color"]).max(axis=-1) / expected["color"].max(axis=-1)
+    assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
 
 
 @pytest.mark.parametrize(("rate", "frames"), [(10.0, 5.0), (24.0, 12.0)])

@@ -100,9 +100,10 @@ def _number_property(item: Field) -> Any:
     # Blender ends a description with a full stop itself.
     description = ". ".join([data["meaning"].rstrip("."), *notes])
     make = bpy.props.IntProperty if item.type == "int" else bpy.props.FloatProperty
-    options = {} if item.type == "int" else {"precision": 3}
+    name = item.name.removeprefix("plus_").removeprefix("eaw_")  # of methods that are never shown together
+    options = {} if item.type == "int" else {"precision": 3 if item.default < 1 else 1}
     return make(
-        name=item.name.replace("_", " ").title(),
+        name=name.replace("_", " ").title(),
         description=description,
         default=item.default,
         min=data["minimum"],

@@ -26,14 +26,18 @@ class PictureTexture:
         self._texture: gpu.types.GPUTexture | None = None
         self._picture: np.ndarray | None = None
 
-    def upload(self, picture: np.ndarray) -> None:
-        """Unless it is there already. No pixel is touched in Python: the buffer is the picture's own memory."""
+    def upload(self, picture: np.ndarray, smooth: bool) -> None:
+        """Unless it is there already. No pixel is touched in Python: the buffer is the picture's own memory. smooth:
+        interpolated where the screen has more pixels.
+        """
         if picture is self._picture:
             return
         height, width = picture.shape[:2]
         self._texture = None  # the old one is free before the new one asks for memory
         pixels = gpu.types.Buffer("FLOAT", picture.size, picture.reshape(-1))
         self._texture = gpu.types.GPUTexture((width, height), format="RGBA32F", data=pixels)
+        if hasattr(self._texture, "filter_mode"):  # not before Blender 5.1
+            self._texture.filter_mode(smooth)
         self._picture = picture
 
     def draw_light(
@@ -42,7 +46,7 @@ class PictureTexture:
         """Linear radiance, before Blender's view transform. picture: float32 [H, W, 4], finite in half, alpha
         premultiplied. part: of the region, where it goes.
         """
-        self.upload(picture)
+        self.upload(picture, smooth=True)
         left, bottom, right, top = part
         engine.bind_display_space_shader(scene)
         gpu.state.blend_set("ALPHA_PREMULT")
@@ -52,8 +56,10 @@ class PictureTexture:
         engine.unbind_display_space_shader()
 
     def draw_data(self, picture: np.ndarray, part: Part) -> None:
-        """Numbers from 0 to 1 as the screen's own, after the view transform; in a draw handler of the view."""
-        self.upload(picture)
+        """Numbers from 0 to 1 as the screen's own, after the view transform; in a draw handler of the view. Each pixel
+        as it is: a colour between two reasons would be a third one's.
+        """
+        self.upload(picture, smooth=False)
         left, bottom, right, top = part
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_identity()

@@ -276,6 +276,10 @@ def playback(frames: int) -> Iterator[float]:
     """History goes on from frame to frame, and only what is animated is exported."""
     scene, cube = window().scene, bpy.data.objects["Cube"]
     scene.frame_start, scene.frame_end = 1, frames
+    # Diffuse: a reflection does not move as its surface does, and soon forgets.
+    principled = cube.active_material.node_tree.nodes["Principled BSDF"] if cube.active_material else None
+    if principled:
+        principled.inputs["Specular IOR Level"].default_value = 0.0
     for frame, x in ((1, -1.0), (frames, 1.0)):
         cube.location.x = x
         cube.keyframe_insert("location", frame=frame)
@@ -294,8 +298,9 @@ def playback(frames: int) -> Iterator[float]:
         bpy.ops.screen.animation_cancel(restore_frame=False)
     print(f"    frames {len(shown)}, restarts {seen}, {counters}")
     assert (counters.meshes, counters.materials, counters.lights) == (meshes, materials, lights)
-    # 20 frames: what is kept while something moves.
-    assert session().result.frame.history_length.max() >= min(frames, 20)
+    # Not each frame of Blender's is rendered where that takes longer. 20 frames: what is kept while something moves.
+    result = session().result
+    assert len(seen) == 1 and result.frame.history_length.max() >= min(result.frames, 20)
     cube.animation_data_clear()
     yield 0.2
 

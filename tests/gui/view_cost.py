@@ -42,7 +42,7 @@ class CostEngine(bpy.types.RenderEngine):
 
     def view_draw(self, context, depsgraph) -> None:
         texture, scene, region, picture = PictureTexture(), depsgraph.scene, context.region, type(self).picture
-        self._time("upload", lambda: texture.upload(picture))
+        self._time("upload", lambda: texture.upload(picture, smooth=True))
         for name in ("first draw", "draw again"):
             self._time(name, lambda: texture.draw_light(self, scene, picture, WHOLE, region))
 

@@ -26,7 +26,20 @@
 // best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 // Where it is known that nothing changes, nothing is tested: a rare sample in a pixel of several surfaces is no change.
-// And the mean goes over from denoised to noisy frames slowly: they are many by then, and their noise is not seen.
+// And the mean goes over from denoised to noisy frames as far as the noise that is left in it is hardly seen; where
+// there is structure, which hides noise, and where several surfaces in a pixel mislead the filter, with the frames.
+// A noisy frame moves the mean by no more than `largest_step` of brightness: a rare bright sample would be a speck for
+// as long as it outshines all others. That limit rises with the frames, so that the mean goes to that of all light.
+// Measured on our own tracer's box of metal and glass and its arcade, 160x90, 48, 128 and 256 frames that stand still
+// against 4096 samples; relMSE, and what a display shows of noise: root mean square of values above a blur of 2 pixels,
+// on flat parts. The denoised frame has 0.0115 and 0.0195 of it after 24 frames:
+//
+//                            box 48        128           256           arcade 48     128           256
+//   from frame 24 to 80      .0111 .0151   .0117 .0219   .0071 .0183   .0262 .0197   .0110 .0235   .0055 .0185
+//   by the noise left        .0136 .0191   .0122 .0184   .0098 .0168   .0249 .0179   .0146 .0172   .0084 .0160
+//   and steps limited        .0110 .0140   .0094 .0127   .0070 .0105   .0243 .0175   .0140 .0166   .0080 .0154
+//   and structure by frames  .0093 .0139   .0046 .0124   .0029 .0102   .0210 .0173   .0089 .0165   .0054 .0149
+//   plain mean               .0379 .0366   .0141 .0249   .0073 .0188   .0283 .0442   .0103 .0265   .0052 .0189
 #pragma once
 
 #include "denoise/modulate.h"
@@ -41,8 +54,11 @@ constexpr float moving_box = 1.0f, still_box = 4.0f;
 // Of the geometric mean of brightness, where something moves: where the average begins to compress.
 constexpr float moving_white = 16.0f;
 constexpr float still_frames = 24.0f;
-// The same where nothing changes, and the frames that it takes.
-constexpr float unchanged_frames = 24.0f, blend_frames = 56.0f;
+// Deviation of the mean of noisy frames, over brightness: up to it they are taken as they are, none of them at twice as
+// much. The most that one of them moves that mean, over brightness.
+constexpr float visible_noise = 0.1f, largest_step = 0.05f;
+// Deviation of the 3x3 pixels, after map, from which structure hides noise; and the frames that the mean takes there.
+constexpr float masking_contrast = 0.05f, blend_frames = 56.0f;
 // Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
 // 4 % more variance than the plain mean has.
 constexpr float still_rate = 1.25f, blend_rate = 2.0f;
@@ -174,11 +190,18 @@ private:
         const bool light_changed = is_tested && still && has_changed(pixel);
         if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
-            const float blended = (history.frames - unchanged_frames) * (1.0f / blend_frames);
-            const float share = is_unchanged ? clamp(blended, 0.0f, 1.0f) : 1.0f;
+            const float left = fast_sqrt(noise(pixel) / history.frames) * fast_reciprocal(box.white);
+            const float unseen = clamp(2.0f - left * (1.0f / visible_noise), 0.0f, 1.0f);
+            const float contrast = fast_max(box.deviation.x, fast_max(box.deviation.y, box.deviation.z));
+            const float masked = clamp(contrast * (1.0f / masking_contrast) - 1.0f, 0.0f, 1.0f) *
+                                 clamp((history.frames - still_frames) * (1.0f / blend_frames), 0.0f, 1.0f);
+            const float share = is_unchanged ? fast_max(unseen, masked) : 1.0f;
             const Vec3 sample = own + (noisy(pixel) - own) * share;
             const float rate = blend_rate + (still_rate - blend_rate) * share;
-            write(pixel, history.color + (sample - history.color) * (rate / frames), frames);
+            Vec3 step = (sample - history.color) * (rate / frames);
+            const float most = largest_step * fast_max(box.white, center.w);
+            if (is_unchanged) step *= most * fast_reciprocal(fast_max(brightness(step), most));
+            write(pixel, history.color + step, frames);
             return;
         }
         const float kept = settled || light_changed ? 0.0f : history.frames;  // then a still picture starts afresh

@@ -16,8 +16,11 @@ MOVING_WHITE = 16.0
 STILL_BOX = 4.0
 STILL_MARGIN = 0.02
 STILL_FRAMES = 24.0
-# The same where nothing changes, and the frames that it takes.
-UNCHANGED_FRAMES = 24.0
+# Where nothing changes: noise of the mean up to which it is that of the noisy frames, and the most that one moves it.
+VISIBLE_NOISE = 0.1
+LARGEST_STEP = 0.05
+# Contrast of the 3x3 pixels that hides noise, and the frames that the mean takes there.
+MASKING_CONTRAST = 0.05
 BLEND_FRAMES = 56.0
 STILL_RATE, BLEND_RATE = 1.25, 2.0
 # Of the brightest of the 3x3 pixels: what darker ones count for in their geometric mean.
@@ -100,10 +103,18 @@ def antialias(
     before = xp.where((excess > 1.0)[..., None], unmap(clipped), past_linear)
     resolved = xp.where(still[..., None], before + (color - before) / n[..., None], resolved)
     resolved = xp.where(known[..., None], resolved, color)
-    share = xp.clip((frames - UNCHANGED_FRAMES) / BLEND_FRAMES, 0.0, 1.0)[..., None] if unchanged else 1.0
+    left = xp.sqrt(noise / xp.maximum(frames, 1.0)) / white
+    unseen = xp.clip(2.0 - left / VISIBLE_NOISE, 0.0, 1.0)
+    masked = xp.clip(deviation.max(axis=-1) / MASKING_CONTRAST - 1.0, 0.0, 1.0)
+    masked = masked * xp.clip((frames - STILL_FRAMES) / BLEND_FRAMES, 0.0, 1.0)
+    share = xp.maximum(unseen, masked)[..., None] if unchanged else 1.0
     sample = color + (noisy - color) * share
     rate = BLEND_RATE + (STILL_RATE - BLEND_RATE) * share
-    resolved = xp.where(goes_on[..., None], past_linear + (sample - past_linear) * rate / n[..., None], resolved)
+    step = (sample - past_linear) * rate / n[..., None]
+    if unchanged:
+        most = LARGEST_STEP * xp.maximum(white, color.max(axis=-1) + 1e-30)
+        step = step * (most / xp.maximum(step.max(axis=-1), most))[..., None]
+    resolved = xp.where(goes_on[..., None], past_linear + step, resolved)
     return Resolved(resolved, n)
 
 
