@@ -123,6 +123,41 @@ def test_frames_agree_with_the_reference(device):
     assert native.fireflies[0] == pytest.approx(reference.fireflies[0], abs=2)
 
 
+def test_frames_of_two_signals_agree_with_the_reference(device):
+    """As above, with a specular signal on surfaces of every roughness."""
+    if device.name == "reference":
+        pytest.skip("against itself")
+    rng = np.random.default_rng(25)
+    native, reference = Denoiser(40, 24, device, "svgf+"), Denoiser(40, 24, "reference", "svgf+")
+    roughness = rng.uniform(0.0, 0.6, (24, 40)).astype(np.float32)
+    for _ in range(6):
+        frame = {**noisy_frame(rng), "roughness": roughness}
+        frame["specular"], frame["specular_albedo"] = noisy_frame(rng)["diffuse"], frame["diffuse_albedo"]
+        actual, expected = native.denoise(frame), reference.denoise(frame)
+    error = np.abs(actual["color"] - expected["color"]).max(axis=-1) / expected["color"].max(axis=-1)
+    assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
+
+
+def test_rough_reflections_are_filtered_as_diffuse_light(device):
+    """Light that one sample in ten finds: a mirror might show it so, a rough surface can not. A border in a mirror stays
+    as it is whatever the roughness of what is beside it."""
+    rng = np.random.default_rng(26)
+    errors = []
+    for roughness in (0.6, 0.0, None):
+        denoiser = Denoiser(40, 24, device, "svgf+")
+        for _ in range(4):
+            frame = make_frame()
+            found = np.random.default_rng(rng.integers(1 << 30)).random((24, 40, 1)) < 0.1
+            frame["specular"] = (frame["diffuse"] * found / 0.1).astype(np.float32)
+            frame["specular_albedo"] = frame["diffuse_albedo"]
+            if roughness is not None:
+                frame["roughness"] = np.full((24, 40), roughness, np.float32)
+            result = denoiser.denoise(frame)
+        errors.append(relative_mse(result["color"], np.ones((24, 40, 3), np.float32)))
+    assert errors[0] < 0.5 * errors[1]
+    assert errors[2] == pytest.approx(errors[1], rel=0.5)
+
+
 def noisy_frame(rng, radiance=1.0, shape=0.5):
     """One surface, albedo 1/2, samples of a gamma distribution (relative variance 1 / shape)."""
     frame = make_frame(radiance=radiance)

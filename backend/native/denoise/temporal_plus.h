@@ -65,7 +65,7 @@ constexpr float young_frames = 4.0f;
 // second differences, over 6 and by what makes the least of four noisy ones as large as the noise.
 constexpr float structure_share = 0.06f, second_difference_scale = 2.5f / 6.0f;
 // Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
-constexpr float narrowing_frames = 16.0f;
+constexpr float narrowing_frames = 32.0f;
 // Of the specular mean's variance: how many times it is more uncertain after one frame than it seems.
 constexpr float young_specular = 3.0f;
 

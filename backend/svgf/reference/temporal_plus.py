@@ -27,7 +27,7 @@ YOUNG_FRAMES = 4.0
 STRUCTURE_SHARE = 0.06
 SECOND_DIFFERENCE_SCALE = 2.5 / 6.0
 # Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
-NARROWING_FRAMES = 16.0
+NARROWING_FRAMES = 32.0
 # How many times the specular mean is more uncertain after one frame than it seems.
 YOUNG_SPECULAR = 3.0
 # Deviations that no change reaches.
