@@ -499,12 +499,7 @@ private:
         int count = batch.size;
         for (int i = 0; i < count; ++i) active[i] = i;
         for (int vertex = 0; count > 0; ++vertex) {
-            for (int i = 0; i < count; ++i) {
-                extend(batch[active[i]], vertex);
-                prefetch_triangle(vertices.scene, batch[active[i]].hit);
-            }
-            if constexpr (covers(kernel, Effects::textures))
-                for (int i = 0; i < count; ++i) prefetch_maps(vertices.scene, batch[active[i]].hit);
+            for (int i = 0; i < count; ++i) extend(batch[active[i]], vertex);
             const int tried = std::exchange(count, 0);
             int shadows = 0;
             for (int i = 0; i < tried; ++i) {

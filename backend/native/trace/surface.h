@@ -92,33 +92,14 @@ SVGF_HD inline Vec4 sample_map(const SceneView& scene, const MeshView& mesh, con
     return sample_texture(load(scene.textures + map.texture), map_uv(mesh, map, hit));
 }
 
-// Sends for what find_surface reads of a hit's triangle, and once that is there for the texels of its maps. It pays
-// where many hits are known before the first one is shaded, on the CPU.
-inline void prefetch_triangle(const SceneView& scene, const Hit& hit) {
-    if (hit.leaf_triangle < 0) return;
-    const auto send_for = [&](const auto* records) {
-        if (!records) return;
-        const char* const record = reinterpret_cast<const char*>(records + hit.leaf_triangle);
-        prefetch(record);
-        prefetch(record + sizeof(*records) - 1);
-    };
-    const MeshView& mesh = scene.meshes[scene.instances[hit.instance].mesh];
-    send_for(mesh.triangles);
-    send_for(mesh.normals);
-    send_for(mesh.uvs);
-    send_for(mesh.tangents);
-}
-
-inline void prefetch_maps(const SceneView& scene, const Hit& hit) {
-    if (hit.leaf_triangle < 0) return;
-    const Instance& instance = scene.instances[hit.instance];
-    const MeshView& mesh = scene.meshes[instance.mesh];
-    const std::int32_t slot = mesh.triangles[hit.leaf_triangle].material_slot;
-    const Material& material = scene.materials[scene.material_table[instance.material_start + slot]];
+SVGF_HD inline void prefetch_maps([[maybe_unused]] const SceneView& scene, [[maybe_unused]] const MeshView& mesh,
+                                  [[maybe_unused]] const Hit& hit, [[maybe_unused]] const Material& material) {
+#if !defined(__CUDACC__)
     for (std::int32_t i = 0; i < material.map_count; ++i) {
         const MaterialMap& map = scene.material_maps[material.map_start + i];
         if (map.same_texel == 0) prefetch_texture(scene.textures[map.texture], map_uv(mesh, map, hit));
     }
+#endif
 }
 
 SVGF_HD inline void apply_maps(const SceneView& scene, const MeshView& mesh, const Hit& hit, Material& material) {
@@ -281,6 +262,8 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
     const Vec3 edge1 = triangle.vertex1 - triangle.vertex0, edge2 = triangle.vertex2 - triangle.vertex0;
 
     const std::int32_t slot = scene.material_table[instance.material_start + triangle.material_slot];
+    if constexpr (covers(kernel, Effects::textures)) prefetch_maps(scene, mesh, hit, scene.materials[slot]);
+
     Surface surface;
     // From the weights: nearer to the triangle than origin + t * direction.
     const Vec3 object_position = triangle.vertex0 + edge1 * hit.weight1 + edge2 * hit.weight2;
