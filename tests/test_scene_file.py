@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 import svgf
 from svgf import scene as scene_module
-from svgf import scene_file
+from svgf import scene_schema
 from svgf.errors import InputError
 from svgf.scene import (
     Camera,
@@ -176,8 +176,8 @@ def test_scene_without_anything(tmp_path: Path) -> None:
 
 def test_schema_matches_the_dataclasses() -> None:
     kinds = {value for value in vars(scene_module).values() if isinstance(value, type) and is_dataclass(value)}
-    assert scene_file._SCHEMA.keys() == kinds
-    for kind, decoders in scene_file._SCHEMA.items():
+    assert scene_schema.SCHEMA.keys() == kinds
+    for kind, decoders in scene_schema.SCHEMA.items():
         assert list(decoders) == [field.name for field in fields(kind)], kind
 
 

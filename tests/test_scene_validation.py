@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import svgf
-from svgf import scene_file
+from svgf import scene_writer
 from svgf.errors import InputError
 from svgf.scene import DEEPEST_MIX, Material, MaterialKind, Scene, TextureMap, World
 from svgf.scene_validation import SceneValidator
@@ -154,7 +154,7 @@ def test_invalid_file_is_refused_by_name(
     path = tmp_path / "bad.svgf"
     with monkeypatch.context() as context:
         context.setattr(SceneValidator, "check", lambda self, scene: ())
-        context.setattr(scene_file, "_json", json.dumps)
+        context.setattr(scene_writer, "_json", json.dumps)
         try:
             svgf.save(path, change(make_scene()))
         except (TypeError, ValueError, AttributeError):

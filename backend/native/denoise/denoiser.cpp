@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
+// The frame: the order of the stages, and what each of them is given. Where the images lie is in denoiser_buffers.h,
+// what goes on from frame to frame in denoiser_history.cpp.
 #include "denoise/denoiser.h"
 
-#include <algorithm>
 #include <type_traits>
-#include <utility>
 
 #include "denoise/antialias.h"
 #include "denoise/atrous.h"
 #include "denoise/demodulate.h"
+#include "denoise/denoiser_buffers.h"
 #include "denoise/diagnose.h"
 #include "denoise/modulate.h"
-#include "denoise/resample.h"
+#include "denoise/signals.h"
 #include "denoise/temporal.h"
 #include "denoise/temporal_plus.h"
 #include "denoise/variance.h"
@@ -19,22 +20,6 @@
 namespace svgf {
 
 namespace {
-
-// Every signal that can be denoised, and the albedos whose sum it is divided by.
-struct SignalInfo {
-    const char* name;
-    const char* albedo[2];
-    bool is_specular = false, has_reflections = true;
-};
-constexpr SignalInfo signal_table[] = {
-    {"diffuse", {"diffuse_albedo", nullptr}, false, false},
-    {"specular", {"specular_albedo", nullptr}, true},
-    {"direct", {"diffuse_albedo", "specular_albedo"}},
-    {"indirect", {"diffuse_albedo", "specular_albedo"}},
-    {"color", {"albedo", nullptr}},
-};
-
-const char* const signal_suffix[max_signals] = {"0", "1"};
 
 // Two stages in one launch, where the second reads no more of the first one's results than its own pixel.
 template <class First, class Second>
@@ -64,152 +49,12 @@ std::optional<DenoiseMethod> denoise_method_from_name(std::string_view name) {
     return std::nullopt;
 }
 
-DenoiseInputs gather_denoise_inputs(const std::function<ImageView(const char* name)>& image) {
-    DenoiseInputs inputs;
-    const auto floats = [&](const char* name) { return static_cast<const float*>(image(name).data); };
-    for (const SignalInfo& info : signal_table) {
-        const float* signal = floats(info.name);
-        if (!signal) continue;
-        if (inputs.signals == max_signals) throw InputError("More than two signals are given.");
-        inputs.signal[inputs.signals] = signal;
-        inputs.is_specular[inputs.signals] = info.is_specular;
-        inputs.has_reflections[inputs.signals] = info.has_reflections;
-        for (int i = 0; i < 2; ++i)
-            if (info.albedo[i]) inputs.albedo[inputs.signals][i] = floats(info.albedo[i]);
-        ++inputs.signals;
-    }
-    if (inputs.signals == 0) throw InputError("No signal is given: diffuse, specular, direct, indirect or color.");
-    inputs.emission = floats("emission");
-    inputs.normal = floats("normal");
-    inputs.depth = floats("depth");
-    inputs.depth_gradient = floats("depth_gradient");
-    const ImageView motion = image("motion");
-    inputs.motion = static_cast<const float*>(motion.data);
-    inputs.motion_channels = motion.channels;
-    inputs.object_id = static_cast<const int32_t*>(image("object_id").data);
-    if (!inputs.normal || !inputs.depth) throw InputError("The images normal and depth are needed.");
-    return inputs;
-}
-
-// run.operator()<Method>() for the traits of the denoiser's method.
-template <class Run>
-auto Denoiser::with_method(Run run) {
-    return method_ == DenoiseMethod::svgf_plus ? run.template operator()<Plus>() : run.template operator()<Published>();
-}
-
 Denoiser::Denoiser(Device& device, int width, int height, DenoiseMethod method, const DenoiseSettings& settings)
     : device_(device), width_(width), height_(height), method_(method), settings_(settings) {
     repaired_ = Buffer<int>(device, 1, "repair counter");
     repaired_.clear();
     if (method == DenoiseMethod::svgf_plus) fireflies_ = Buffer<FireflyCount>(device, 1, "firefly counter");
     prepare(1);
-}
-
-void Denoiser::prepare(int signals) {
-    with_method([&]<class Method>() { allocate<typename Method::Storage>(signals); });
-}
-
-template <class Storage>
-void Denoiser::allocate(int signals) {
-    const auto need = [&](Memory& memory, int bytes_per_pixel, const char* what) {
-        if (memory.size() < pixels() * bytes_per_pixel) {
-            memory = {};
-            memory = Memory(device_, pixels() * bytes_per_pixel, what);
-            has_history_ = false;
-        }
-    };
-    const int color_bytes = signals * Storage::color_bytes;
-    constexpr bool plus = std::is_same_v<Storage, PackedStorage>;
-    const int guide_bytes = Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes);
-    need(guides_, guide_bytes, "guides");
-    if (method_ != DenoiseMethod::svgf_plus) need(working_, color_bytes, "working colour");
-    if (!is_temporal()) {
-        if (method_ != DenoiseMethod::none) need(scratch_, color_bytes, "scratch colour");
-        return;
-    }
-    // Previous guides become scratch: all of it, or the second signal's and the resolved colour.
-    static_assert((plus ? 1 : max_signals) * Storage::color_bytes <=
-                  Storage::guide_bytes + (plus ? 0 : Storage::gradient_bytes));
-    need(previous_guides_, guide_bytes, "previous guides");
-    need(history_, color_bytes, "history");
-    need(moments_, signals * Storage::moments_bytes, "moments");
-    need(previous_moments_, signals * Storage::moments_bytes, "previous moments");
-    if (method_ != DenoiseMethod::svgf_plus) return;
-    need(next_history_, color_bytes, "next history");
-    static_assert(!plus || Storage::color_bytes == Storage::guide_bytes);  // they change places
-    need(resolved_, Storage::color_bytes, "resolved colour");
-}
-
-template <class Storage>
-typename Storage::Guides Denoiser::guides_of(Memory& memory) {
-    return {memory.data(), width_, height_};
-}
-
-template <class Storage>
-typename Storage::Gradients Denoiser::gradients() {
-    return {borrowed_gradients_ ? borrowed_gradients_ : guides_.data() + pixels() * Storage::guide_bytes};
-}
-
-template <class Storage>
-typename Storage::Color Denoiser::color_of(Place place, int signal) {
-    if (place == Place::working && borrowed_working_[signal]) return {borrowed_working_[signal]};
-    Memory& memory = place == Place::working                     ? working_
-                     : place == Place::history                   ? history_
-                     : method_ == DenoiseMethod::svgf_plus       ? next_history_
-                     : is_temporal()                             ? previous_guides_
-                                                                 : scratch_;
-    return {memory.data() + signal * pixels() * Storage::color_bytes};
-}
-
-template <class Storage>
-typename Storage::Moments Denoiser::moments_of(Memory& memory, int signal) {
-    return {memory.data() + signal * pixels() * Storage::moments_bytes};
-}
-
-void Denoiser::resize(int width, int height) {
-    if (width == width_ && height == height_) return;
-    // What a frame alone needs makes room first.
-    for (Memory* memory : {&guides_, &working_, &scratch_, &next_history_, &moments_}) *memory = {};
-    if (has_history_) {
-        with_method([&]<class Method>() {
-            using Storage = typename Method::Storage;
-            signals_ == 1 ? resample<Storage, 1>(width, height) : resample<Storage, 2>(width, height);
-        });
-        return;
-    }
-    for (Memory* memory : {&previous_guides_, &history_, &previous_moments_, &resolved_}) *memory = {};
-    width_ = width;
-    height_ = height;
-    prepare(std::max(signals_, 1));
-}
-
-// Where the history is, at the size that it has.
-template <class Storage, int Signals>
-HistoryImages<Storage, Signals> Denoiser::history_views() {
-    HistoryImages<Storage, Signals> views;
-    views.guides = guides_of<Storage>(previous_guides_);
-    for (int s = 0; s < Signals; ++s) {
-        views.color[s] = color_of<Storage>(Place::history, s);
-        views.moments[s] = moments_of<Storage>(previous_moments_, s);
-    }
-    if (has_resolved_) views.resolved = {resolved_.data()};
-    return views;
-}
-
-template <class Storage, int Signals>
-void Denoiser::resample(int width, int height) {
-    Resample<Storage, Signals> stage;
-    stage.in = history_views<Storage, Signals>();
-    stage.frames_share = std::min(1.0f, float(pixels()) / (float(width) * float(height)));
-    Memory old[] = {std::move(previous_guides_), std::move(history_), std::move(previous_moments_),
-                    std::move(resolved_)};
-    has_history_ = false;  // until all of it is there
-    width_ = width;
-    height_ = height;
-    prepare(Signals);
-    stage.out = history_views<Storage, Signals>();
-    launch("resample", stage);
-    has_history_ = true;
 }
 
 void Denoiser::denoise(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, bool reset,
@@ -239,18 +84,6 @@ void Denoiser::add_traffic(const char* name, int bytes_per_pixel) {
             return;
         }
     traffic_.emplace_back(name, bytes);
-}
-
-template <class Stage>
-void Denoiser::launch(const char* name, const Stage& stage) {
-    add_traffic(name, stage.bytes_per_pixel());
-    device_.launch(name, width_, height_, stage);
-}
-
-template <class Stage>
-void Denoiser::launch_tiles(const char* name, const Stage& stage) {
-    add_traffic(name, stage.bytes_per_pixel());
-    device_.launch_tiles(name, stage);
 }
 
 template <class Method, int Signals>
@@ -543,52 +376,9 @@ void Denoiser::diagnose(const DenoiseInputs& inputs) {
     launch("diagnose", stage);
 }
 
-HostImages Denoiser::history_images() {
-    HostImages result;
-    if (!has_history_) return result;
-    with_method([&]<class Method>() {
-        using Storage = typename Method::Storage;
-        const std::vector<std::byte> colors = history_.download(), moments = previous_moments_.download();
-        for (int s = 0; s < signals_; ++s) {
-            const typename Storage::Color color{const_cast<std::byte*>(&colors[s * pixels() * Storage::color_bytes])};
-            HostImage& mean = result[std::string("color") + signal_suffix[s]] = {3, {}};
-            for (size_t i = 0; i < pixels(); ++i) {
-                const Vec4 c = color[int(i)];
-                mean.values.insert(mean.values.end(), {c.x, c.y, c.z});
-            }
-            if constexpr (std::is_same_v<Method, Plus>) {
-                const typename Storage::Moments known{
-                    const_cast<std::byte*>(&moments[s * pixels() * Storage::moments_bytes])};
-                HostImage& frames = result[std::string("frames") + signal_suffix[s]] = {1, {}};
-                for (size_t i = 0; i < pixels(); ++i) frames.values.push_back(known[int(i)].x);
-            }
-        }
-    });
-    return result;
-}
-
 int Denoiser::repaired() const { return repaired_.download()[0]; }
 
 FireflyCount Denoiser::fireflies() const { return fireflies_ ? fireflies_.download()[0] : FireflyCount{}; }
-
-std::vector<BufferInfo> Denoiser::buffers() const {
-    std::vector<BufferInfo> list;
-    const auto add = [&](const char* name, const auto& buffer) {
-        if (buffer) list.push_back({name, buffer.bytes()});
-    };
-    add("guides", guides_);
-    add("previous guides", previous_guides_);
-    add("working colour", working_);
-    add("scratch colour", scratch_);
-    add("history", history_);
-    add("next history", next_history_);
-    add("moments", moments_);
-    add("previous moments", previous_moments_);
-    add("resolved colour", resolved_);
-    add("repair counter", repaired_);
-    add("firefly counter", fireflies_);
-    return list;
-}
 
 }  // namespace svgf
 

@@ -110,8 +110,8 @@ struct PathVertices {
         return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
-    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. seen: is
-    // shown what the G-buffer holds.
+    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. seen:
+    // is shown what the G-buffer holds.
     template <class Seen = Unseen>
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
                        ShadowRay& shadow, const Seen& seen = {}) const {
