@@ -63,6 +63,23 @@ def test_same_frame_same_bits(device):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
+def test_images_that_wait_unread_keep_their_pixels():
+    """Frames of many sizes come and go: on the CPU their images lie beside each other in large pages of memory."""
+    pytest.importorskip("svgf._native.cpu", reason="the native modules are not built")
+    device = open_device("cpu")
+    sizes = [(40, 40), (96, 60), (200, 110), (400, 220)]
+
+    def render(size):
+        return Renderer(Settings(*size, bounces=1, method="none"), device).render(scenes.box_scene())
+
+    wanted = {size: render(size).noisy.copy() for size in sizes}
+    waiting = [(size, render(size)) for size in sizes * 3]
+    del waiting[::2]
+    waiting += [(size, render(size)) for size in reversed(sizes)]
+    for size, frame in waiting:
+        np.testing.assert_array_equal(frame.noisy, wanted[size])
+
+
 @pytest.mark.parametrize("threads", [1, 3])
 def test_number_of_threads_does_not_matter(threads):
     """One thread, or more than there are cores."""

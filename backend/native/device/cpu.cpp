@@ -1,36 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "device/cpu.h"
 
-#include <cstdlib>
 #include <cstring>
-#include <new>
-
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
 
 #include "device/device.h"
+#include "device/large_pages.h"
 
 namespace svgf {
 namespace {
 
-constexpr size_t alignment = 64;
-
-#if defined(__linux__)
-// Large memory asks for large pages: rays read all over a scene, and a core knows the places of few small pages.
-void* allocate_aligned(size_t bytes) {
-    constexpr size_t large_page = size_t(2) << 20;
-    const size_t page = bytes >= large_page ? large_page : alignment;
-    bytes = (bytes + page - 1) / page * page;
-    void* const data = std::aligned_alloc(page, bytes);
-    if (data && page == large_page) madvise(data, bytes, MADV_HUGEPAGE);  // where it fails, pages are small
-    return data;
+// Leaked on purpose: buffers may be released while the process shuts down.
+LargePages& memory() {
+    static LargePages* const shared = new LargePages;
+    return *shared;
 }
-void release_aligned(void* data) { std::free(data); }
-#else
-void* allocate_aligned(size_t bytes) { return ::operator new(bytes, std::align_val_t{alignment}, std::nothrow); }
-void release_aligned(void* data) { ::operator delete(data, std::align_val_t{alignment}); }
-#endif
 
 }  // namespace
 
@@ -40,14 +23,14 @@ Device::Device(int index) {
 
 void* Device::allocate(size_t bytes, const char* what) {
     // One byte at least: an empty buffer still has an address of its own.
-    void* data = allocate_aligned(std::max<size_t>(bytes, 1));
+    void* data = memory().allocate(std::max<size_t>(bytes, 1));
     if (!data)
         throw OutOfMemory("", "No memory for " + std::string(what) + " (" + std::to_string(bytes >> 20) + " MiB).",
                           "Render smaller, or close other programs.");
     return data;
 }
 
-void Device::release(void* data) noexcept { release_aligned(data); }
+void Device::release(void* data) noexcept { memory().release(data); }
 
 void Device::upload(void* device, const void* host, size_t bytes) {
     if (bytes) std::memcpy(device, host, bytes);

@@ -261,6 +261,7 @@ struct SceneView {
     const float* albedo_tables = nullptr;  // of trace/microfacet.h
     // Surfaces neither shine nor are OpacityClass::shaded: what the last ray of a path hits adds nothing.
     bool last_hits_are_dark = false;
+    const std::uint8_t* dark_materials = nullptr;  // the same of each material: 1 or 0
     LightsView lights;
     WorldView world;
 };

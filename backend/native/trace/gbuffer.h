@@ -145,14 +145,20 @@ struct GbufferStage {
             ray.t_min = hit.t;
             hit = find_path_hit_apart<kernel>(scene, ray, sampler, vertex + 1, --allowed);
         }
-        const Bsdf<kernel> bsdf(scene, surface, view);
+        write_surface(i, point, surface, Bsdf<kernel>(scene, surface, view), hit, tint, allowed > 0);
+    }
+
+    // point: of the image, through which pixel i sees the surface. tint: of what the ray passed. may_reflect: the path
+    // does not end here.
+    SVGF_HD void write_surface(int i, Vec2 point, const Surface& surface, const Bsdf<kernel>& bsdf, const Hit& hit,
+                               Vec3 tint, bool may_reflect) const {
         const ImagePoint now = camera.project(surface.position);
         // What stands still moves by exactly 0, whatever two projections would round it to.
         Vec3 motion;
         if (out_motion && (camera_moves || is_moving(scene, hit)))
             motion = motion_between(now, previous_camera.project(find_previous_position(scene, hit)));
         if constexpr (covers(kernel, Effects::specular)) {
-            if (out_smooth_pixels && allowed > 0 && may_follow(limits, bsdf.find_smooth_bounce().event, 0, 0, 0))
+            if (out_smooth_pixels && may_reflect && may_follow(limits, bsdf.find_smooth_bounce().event, 0, 0, 0))
                 out_smooth_pixels[append(out_smooth_count)] = i;
         }
         write_first(i, bsdf.normal, now.depth, scene.instances[hit.instance].object_id, motion);
@@ -160,6 +166,17 @@ struct GbufferStage {
               scene.instances[hit.instance].object_id, surface.material.roughness, bsdf.diffuse_albedo * tint,
               bsdf.specular_albedo * tint, motion);
         out_material_id[i] = surface.material_index + 1;
+    }
+
+    // Infinitely far: only the camera's rotation moves it.
+    SVGF_HD void write_background(int i, Vec3 direction) const {
+        Vec3 motion;
+        if (camera_moves)
+            motion = motion_between(camera.project_direction(direction), previous_camera.project_direction(direction));
+        motion.z = 0.0f;
+        write_first(i, {}, background_depth, 0, motion);
+        write(i, {}, background_depth, {}, 0, 0.0f, {}, {}, motion);
+        out_material_id[i] = 0;
     }
 
     SVGF_HD void write(int i, Vec3 normal, float depth, Vec2 depth_gradient, std::int32_t object_id, float roughness,
@@ -175,17 +192,6 @@ struct GbufferStage {
     }
 
 private:
-    // Infinitely far: only the camera's rotation moves it.
-    SVGF_HD void write_background(int i, Vec3 direction) const {
-        Vec3 motion;
-        if (camera_moves)
-            motion = motion_between(camera.project_direction(direction), previous_camera.project_direction(direction));
-        motion.z = 0.0f;
-        write_first(i, {}, background_depth, 0, motion);
-        write(i, {}, background_depth, {}, 0, 0.0f, {}, {}, motion);
-        out_material_id[i] = 0;
-    }
-
     SVGF_HD void write_first(int i, Vec3 normal, float depth, std::int32_t object_id, Vec3 motion) const {
         if (!out_smooth_pixels) return;
         out_chain_light[i] = {};

@@ -127,11 +127,12 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         gbuffer.out_first_object_id = integers("first_object_id");
         gbuffer.out_first_motion = has_motion ? vectors("first_motion") : nullptr;
     }
-    device_.launch("gbuffer", frame.width, frame.height, gbuffer);
-    if constexpr (covers(kernel, Effects::specular))
-        if (has_chains)
-            device_.launch_queue("gbuffer chains", int(pixels), smooth_count.data(),
-                                 SpecularChainStage<kernel>{gbuffer, smooth_pixels.data()});
+    const auto follow_chains = [&] {
+        if constexpr (covers(kernel, Effects::specular))
+            if (has_chains)
+                device_.launch_queue("gbuffer chains", int(pixels), smooth_count.data(),
+                                     SpecularChainStage<kernel>{gbuffer, smooth_pixels.data()});
+    };
 
     PathVertices<kernel> vertices{.scene = scene_,
                                   .limits = frame.light_paths,
@@ -153,6 +154,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
     // So has each where chance decides what it passes.
     const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f && !covers(kernel, Effects::alpha);
     if constexpr (Device::follows_paths_together) {
+        device_.launch("gbuffer", frame.width, frame.height, gbuffer);
+        follow_chains();
         trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
     } else {
         PathStage<kernel> path{.vertices = vertices,
@@ -161,9 +164,17 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
                                .seed = frame.seed,
                                .box_filter = box_filter,
                                .in_hit = hits.data(),
+                               .gbuffer = &gbuffer,
                                .out = radiance};
         for (int i = 0; i < frame.samples; ++i) {
             device_.launch("path", frame.width, frame.height, path);
+            if (path.gbuffer && has_chains) {
+                follow_chains();
+                device_.launch_queue("path", int(pixels), smooth_count.data(),
+                                     ChainLightStage{smooth_pixels.data(), chain_light.data(), radiance.weight,
+                                                     radiance.out_emission});
+            }
+            path.gbuffer = nullptr;
             ++path.sample;
             path.out.first_of_frame = false;
             path.vertices.in_chain_light = nullptr;  // of the first sample

@@ -156,6 +156,7 @@ private:
     Buffer<std::int32_t> material_table_;
     Buffer<Material> materials_;
     Buffer<MaterialMap> material_maps_;
+    Buffer<std::uint8_t> dark_materials_;
     Buffer<TextureView> texture_views_;
     Buffer<float> albedo_tables_;
     Buffer<Light> lights_;

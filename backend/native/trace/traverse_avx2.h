@@ -265,7 +265,8 @@ inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, Passes&& 
                 box_ray = &object_ray;
                 if (instance != object_ray_instance) {
                     object_ray_instance = instance;
-                    object_ray = world_ray.transformed(placed.world_to_object);
+                    object_ray = instance == scene.merged_instance ? world_ray
+                                                                   : world_ray.transformed(placed.world_to_object);
                 }
                 if (leaf.bits >> WideNode::inner_bit) {
                     child = leaf.first;

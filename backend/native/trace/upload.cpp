@@ -383,6 +383,11 @@ void Tracer::find_opacity() {
     };
     scene_.last_hits_are_dark =
         !opacity_.has_shaded() && std::none_of(material_rows_.begin(), material_rows_.end(), shines);
+    std::vector<std::uint8_t> dark;
+    for (const Material& material : material_rows_)
+        dark.push_back(!shines(material) && !is_mix(material.kind) && material.kind != MaterialKind::transparent);
+    dark_materials_ = Buffer<std::uint8_t>(device_, std::span<const std::uint8_t>(dark), "materials");
+    scene_.dark_materials = dark_materials_.data();
     knows_opacity_ = true;
 }
 
