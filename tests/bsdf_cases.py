@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from svgf.flatten import material_rows
-from svgf.reference.bsdf import Bsdf, make_bsdf
+from svgf.reference.bsdf import Bsdf
+from svgf.reference.bsdf_lobes import make_bsdf
 from svgf.scene import Material
 
 

@@ -7,6 +7,13 @@ import numpy as np
 import pytest
 
 from svgf.reference import bsdf as reference
+from svgf.reference.bsdf import Bsdf
+from svgf.reference.bsdf_evaluate import evaluate
+from svgf.reference.bsdf_sample import BsdfSample
+from svgf.reference.bsdf_sample import sample as sample_bsdf
+from svgf.reference.microfacet import fresnel_dielectric, fresnel_metal, ggx_density, ggx_lambda
+from svgf.reference.sampling import cosine_hemisphere
+from svgf.reference.shading_normal import make_reflection_valid
 from svgf.scene import Material, MaterialKind, TextureMap
 
 from .bsdf_cases import make, repeat, sphere_grid
@@ -46,9 +53,9 @@ def direction(degrees: float, turn: float = 0.3) -> np.ndarray:
     return np.array([[np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.cos(theta)]])
 
 
-def draw(bsdf: reference.Bsdf, count: int, seed: int = 0) -> reference.BsdfSample:
+def draw(bsdf: Bsdf, count: int, seed: int = 0) -> BsdfSample:
     rng = np.random.default_rng(seed)
-    return reference.sample(repeat(bsdf, count), rng.random((count, 2)), rng.random(count))
+    return sample_bsdf(repeat(bsdf, count), rng.random((count, 2)), rng.random(count))
 
 
 def on_both_sides(test):
@@ -65,7 +72,7 @@ def test_directions_follow_their_density(material, degrees, outside):
     assert_density(make(material, seen(degrees, outside)))
 
 
-def assert_density(bsdf: reference.Bsdf) -> None:
+def assert_density(bsdf: Bsdf) -> None:
     count, rows, columns, fine = 40_000, 24, 24, 20
     sample = draw(bsdf, count)
     found = sample.pdf > 0
@@ -75,7 +82,7 @@ def assert_density(bsdf: reference.Bsdf) -> None:
     counts = np.bincount(row_index * columns + column_index, minlength=rows * columns)
 
     directions, solid_angle = sphere_grid(rows * fine, columns * fine)
-    pdf = reference.evaluate(repeat(bsdf, len(directions)), directions)[2]
+    pdf = evaluate(repeat(bsdf, len(directions)), directions)[2]
     expected = count * (solid_angle * pdf).reshape(rows, fine, columns, fine).sum(axis=(1, 3))
 
     # What is not found fell below the horizon: the density misses just that share.
@@ -88,10 +95,10 @@ def test_sampling_gives_the_integral(material, degrees, outside):
     assert_integral(make(material, seen(degrees, outside)))
 
 
-def assert_integral(bsdf: reference.Bsdf) -> None:
+def assert_integral(bsdf: Bsdf) -> None:
     sample = draw(bsdf, 40_000, seed=1)
     directions, solid_angle = sphere_grid(500, 500)
-    diffuse, specular, _ = reference.evaluate(repeat(bsdf, len(directions)), directions)
+    diffuse, specular, _ = evaluate(repeat(bsdf, len(directions)), directions)
     for channel in range(3):
         values = (diffuse + specular)[:, channel]
         assert_mean((sample.diffuse + sample.specular)[:, channel], values @ solid_angle, ERROR_RATE, rounding=2e-3)
@@ -112,7 +119,7 @@ def test_smooth_coat_over_a_normal_map(degrees):
 def test_lambert_density_is_whole():
     directions, solid_angle = sphere_grid(400, 4)
     bsdf = make(WHITE, direction(60))
-    diffuse, specular, pdf = reference.evaluate(repeat(bsdf, len(directions)), directions)
+    diffuse, specular, pdf = evaluate(repeat(bsdf, len(directions)), directions)
     assert pdf @ solid_angle == pytest.approx(1, abs=1e-4)
     assert diffuse[:, 0] @ solid_angle == pytest.approx(0.8, abs=1e-4)
     assert not specular.any()
@@ -163,8 +170,8 @@ def test_white_surfaces_do_not_make_light(material):
     entries of the tables."""
     rng = np.random.default_rng(11)
     count = 40_000
-    view = reference.cosine_hemisphere(rng.random((count, 2)))
-    sample = reference.sample(make(whitened(material), view), rng.random((count, 2)), rng.random(count))
+    view = cosine_hemisphere(rng.random((count, 2)))
+    sample = sample_bsdf(make(whitened(material), view), rng.random((count, 2)), rng.random(count))
     total = (sample.diffuse + sample.specular)[:, 0]
     assert total.mean() <= 1.005 + 4 * total.std() / np.sqrt(count)
 
@@ -203,7 +210,7 @@ def above(count: int, seed: int) -> np.ndarray:
 
 
 def value(material: Material, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-    diffuse, specular, _ = reference.evaluate(make(material, view), light)
+    diffuse, specular, _ = evaluate(make(material, view), light)
     return (diffuse + specular) / np.abs(light[:, 2:3])
 
 
@@ -272,18 +279,18 @@ def test_total_internal_reflection(material):
 
 def test_fresnel_closed_forms():
     eta = np.array([1.5])
-    assert reference.fresnel_dielectric(np.ones(1), eta) == pytest.approx(0.04)
-    assert reference.fresnel_dielectric(np.full(1, 1e-9), eta) == pytest.approx(1, abs=1e-6)
+    assert fresnel_dielectric(np.ones(1), eta) == pytest.approx(0.04)
+    assert fresnel_dielectric(np.full(1, 1e-9), eta) == pytest.approx(1, abs=1e-6)
     brewster = np.cos(np.arctan(1.5))  # nothing of the parallel half is reflected
-    assert reference.fresnel_dielectric(np.array([brewster]), eta) == pytest.approx(
+    assert fresnel_dielectric(np.array([brewster]), eta) == pytest.approx(
         ((1.5**2 - 1) / (1.5**2 + 1)) ** 2 / 2
     )
     inside = np.sqrt(1 - (1 - 0.7**2) / 1.5**2)
-    assert reference.fresnel_dielectric(np.array([0.7]), eta) == pytest.approx(
-        reference.fresnel_dielectric(np.array([inside]), 1 / eta)
+    assert fresnel_dielectric(np.array([0.7]), eta) == pytest.approx(
+        fresnel_dielectric(np.array([inside]), 1 / eta)
     )
-    assert reference.fresnel_dielectric(np.array([0.3]), np.array([1.0])) == 0
-    assert reference.fresnel_dielectric(np.array([0.3]), np.array([1 / 1.5])) == 1
+    assert fresnel_dielectric(np.array([0.3]), np.array([1.0])) == 0
+    assert fresnel_dielectric(np.array([0.3]), np.array([1 / 1.5])) == 1
 
 
 @pytest.mark.parametrize("stretch", [1.0, 0.4])
@@ -293,10 +300,10 @@ def test_microfacets_cover_the_surface_once(alpha, stretch):
     half, solid_angle = sphere_grid(1000, 1000)
     view = direction(60)
     alphas = np.full((len(half), 2), alpha) * (1.0, stretch)
-    facing = np.maximum(half @ view[0], 0) * reference.ggx_density(half, alphas)
-    masked = facing @ solid_angle / (1 + reference.ggx_lambda(view, alphas[:1]))
+    facing = np.maximum(half @ view[0], 0) * ggx_density(half, alphas)
+    masked = facing @ solid_angle / (1 + ggx_lambda(view, alphas[:1]))
     assert masked == pytest.approx(view[:, 2], rel=2e-3)
-    projected = (reference.ggx_density(half, alphas) * half[:, 2]) @ solid_angle
+    projected = (ggx_density(half, alphas) * half[:, 2]) @ solid_angle
     assert projected == pytest.approx(1, rel=2e-3)
 
 
@@ -415,7 +422,7 @@ def test_valid_reflection_is_just_above_the_surface():
     geometric = np.tile([0.0, 0.0, 1.0], (count, 1))
     view = above(count, 21)
     normal = above(count, 22)
-    bent = reference.valid_reflection(normal, geometric, view)
+    bent = make_reflection_valid(normal, geometric, view)
     np.testing.assert_allclose(np.linalg.norm(bent, axis=1), 1, atol=1e-9)
 
     def height(n: np.ndarray) -> np.ndarray:
@@ -435,7 +442,7 @@ def test_bumps_hide_what_is_behind_the_smooth_surface():
     tilted = np.array([0.5, 0.0, np.sqrt(0.75)])
     bsdf = make(WHITE, direction(10.0), normal=tilted, smooth_normal=np.array([[0.0, 0.0, 1.0]]))
     directions, _ = sphere_grid(40, 40)
-    diffuse, _, pdf = reference.evaluate(repeat(bsdf, len(directions)), directions)
+    diffuse, _, pdf = evaluate(repeat(bsdf, len(directions)), directions)
     lambert = 0.8 / np.pi * np.maximum(directions @ tilted, 0)
     hidden = (directions[:, 2] < 0) & (lambert > 0)
     assert hidden.sum() > 20 and not diffuse[hidden].any() and not pdf[hidden].any()
@@ -463,9 +470,9 @@ def test_edge_tint_of_metal_is_its_reflectance_at_82_degrees():
     base, tint = np.array([[0.9, 0.5, 0.2]]), (0.3, 1.0, 0.6)
     bsdf = make(Material(base_color=tuple(base[0]), metallic=1.0, specular_tint=tint), direction(30))
     cosine = np.array([1 / 7])
-    fresnel = reference.fresnel_metal(bsdf.metal_f0, bsdf.metal_f90, bsdf.metal_dip, cosine)
+    fresnel = fresnel_metal(bsdf.metal_f0, bsdf.metal_f90, bsdf.metal_dip, cosine)
     np.testing.assert_allclose(fresnel, (base + (1 - base) * (6 / 7) ** 5) * tint, rtol=1e-9)
-    np.testing.assert_allclose(reference.fresnel_metal(bsdf.metal_f0, bsdf.metal_f90, bsdf.metal_dip, np.ones(1)), base)
+    np.testing.assert_allclose(fresnel_metal(bsdf.metal_f0, bsdf.metal_f90, bsdf.metal_dip, np.ones(1)), base)
 
 
 def test_oren_nayar_keeps_energy():
@@ -474,6 +481,6 @@ def test_oren_nayar_keeps_energy():
     for degrees in (0.0, 50.0, 85.0):
         material = Material(kind=MaterialKind.DIFFUSE, base_color=(1.0, 1.0, 1.0), diffuse_roughness=1.0)
         bsdf = make(material, direction(degrees))
-        diffuse, _, _ = reference.evaluate(repeat(bsdf, len(directions)), directions)
+        diffuse, _, _ = evaluate(repeat(bsdf, len(directions)), directions)
         assert diffuse[:, 0] @ solid_angle == pytest.approx(1, abs=3e-3)
         np.testing.assert_allclose(bsdf.diffuse_albedo, 1, atol=3e-3)

@@ -10,7 +10,7 @@ from svgf.effects import Effects
 from svgf.environment import mean_radiance, sampling_map
 from svgf.flat_lights import AREA_LAMP_RADIANCE
 from svgf.light_paths import LightPaths
-from svgf.reference.bsdf import evaluate
+from svgf.reference.bsdf_evaluate import evaluate
 from svgf.reference.environment import World as Sky
 from svgf.reference.texture import Texture
 from svgf.scene import Light, LightKind, Material, MaterialKind, RenderDefaults, World

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Python module of one device (see CMakeLists.txt). It converts arrays and errors, and nothing else.
-//
-// Images come in as numpy arrays or, on CUDA, as anything on the same GPU that speaks DLPack; they go out as numpy
-// arrays on the CPU and as DeviceImage, which speaks DLPack, on CUDA. The GIL is released while native code works.
+// The Python module of one device (see CMakeLists.txt). It converts arrays (bindings_arrays.h) and errors, and nothing
+// else. The GIL is released while native code works.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -13,11 +11,15 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <optional>
 #include <memory>
+#include <optional>
+#include <string>
 #include <tuple>
+#include <utility>
 #include <variant>
+#include <vector>
 
+#include "bindings_arrays.h"
 #include "denoise/denoiser.h"
 #include "device/bandwidth.h"
 #include "device/device.h"
@@ -28,12 +30,6 @@ using namespace nb::literals;
 
 namespace svgf {
 namespace {
-
-#if defined(SVGF_CUDA)
-constexpr int device_type = nb::device::cuda::value;
-#else
-constexpr int device_type = nb::device::cpu::value;
-#endif
 
 // --- Errors ----------------------------------------------------------------------------------------------------------
 
@@ -61,152 +57,6 @@ void translate_error(const std::exception_ptr& error, void*) {
     }
 }
 
-#if defined(SVGF_CUDA)
-// An image that stays on the GPU. It goes from the tracer to the denoiser as it is, and to other libraries by DLPack.
-struct DeviceImage {
-    std::variant<Buffer<float>, Buffer<int32_t>> pixels;
-    int height, width, channels;
-
-    const void* data() const {
-        return std::visit([](const auto& buffer) { return static_cast<const void*>(buffer.data()); }, pixels);
-    }
-};
-
-// The capsule keeps the image alive, and with it the device. stream: that of the reader, as the array API's __dlpack__
-// numbers them (1 the legacy default one, 2 that of the thread, -1: no order wanted); it is made to wait for the image.
-nb::object dlpack_capsule(nb::handle self, std::optional<intptr_t> stream, nb::kwargs) {
-    auto& image = nb::cast<DeviceImage&>(self);
-    if (stream.value_or(1) != -1)
-        std::visit([&](auto& buffer) { buffer.device().let_wait(uintptr_t(stream.value_or(1))); }, image.pixels);
-    const size_t shape[3] = {size_t(image.height), size_t(image.width), size_t(image.channels)};
-    return std::visit(
-        [&](auto& buffer) {
-            using Value = std::remove_pointer_t<decltype(buffer.data())>;
-            nb::ndarray<> array(buffer.data(), image.channels == 1 ? 2 : 3, shape, self, nullptr, nb::dtype<Value>(),
-                                device_type, buffer.device().index());
-            // Older versions of nanobind hand out the capsule itself.
-            nb::object exported = nb::cast(array);
-            return nb::hasattr(exported, "__dlpack__") ? nb::object(exported.attr("__dlpack__")()) : exported;
-        },
-        image.pixels);
-}
-#endif
-
-// --- Arrays in -------------------------------------------------------------------------------------------------------
-
-template <class T>
-using HostArray = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-
-template <class T>
-std::span<const T> span_of(const HostArray<T>& array) {
-    return {array.data(), array.size()};
-}
-
-template <class T>
-std::span<const T> span_of(const std::optional<HostArray<T>>& array) {
-    return array ? span_of(*array) : std::span<const T>();
-}
-
-template <size_t Size>
-std::span<const float, Size> fixed_span(const HostArray<float>& array, const char* name) {
-    if (array.size() != Size)
-        throw InputError(std::string(name) + " has " + std::to_string(array.size()) + " values instead of " +
-                         std::to_string(Size) + ".");
-    return std::span<const float, Size>(array.data(), Size);
-}
-
-// The images of a dictionary, on the device: those of the host are uploaded, those of the device are used as they are.
-class ImageReader {
-public:
-    ImageReader(Device& device, const nb::dict& images, int width, int height)
-        : device_(device), images_(images), width_(width), height_(height) {}
-
-    ImageView operator()(const char* name) {
-        if (!images_.contains(name)) return {};
-        nb::object value = images_[name];
-        if (value.is_none()) return {};
-#if defined(SVGF_CUDA)
-        if (nb::isinstance<DeviceImage>(value)) {
-            const auto& image = nb::cast<DeviceImage&>(value);
-            if (image.height != height_ || image.width != width_) throw InputError(wrong_size(name));
-            return {image.data(), image.channels};
-        }
-#endif
-        const bool ids = std::string_view(name) == "object_id";
-        nb::ndarray<nb::ro, nb::c_contig> array;
-        if (!nb::try_cast(value, array))
-            throw InputError("Image \"" + std::string(name) + "\" is not a C-contiguous array.");
-        if (array.dtype() != (ids ? nb::dtype<int32_t>() : nb::dtype<float>()))
-            throw InputError("Image \"" + std::string(name) + "\" must be " + (ids ? "int32." : "float32."));
-        if (array.ndim() < 2 || array.ndim() > 3 || array.shape(0) != size_t(height_) || array.shape(1) != size_t(width_))
-            throw InputError(wrong_size(name));
-        const int channels = array.ndim() == 3 ? int(array.shape(2)) : 1;
-        kept_.push_back(array);
-        if (array.device_type() == device_type) return {array.data(), channels};
-        if (array.device_type() != nb::device::cpu::value)
-            throw InputError("Image \"" + std::string(name) + "\" is on a device that this denoiser cannot read.");
-        uploads_.emplace_back(
-            device_, std::span(static_cast<const std::byte*>(array.data()), array.nbytes()), "an input image");
-        return {uploads_.back().data(), channels};
-    }
-
-private:
-    std::string wrong_size(const char* name) const {
-        return "Image \"" + std::string(name) + "\" does not have " + std::to_string(height_) + " rows and " +
-               std::to_string(width_) + " columns.";
-    }
-
-    Device& device_;
-    const nb::dict& images_;
-    int width_, height_;
-    std::vector<nb::ndarray<nb::ro, nb::c_contig>> kept_;
-    std::vector<Buffer<std::byte>> uploads_;
-};
-
-// --- Arrays out ------------------------------------------------------------------------------------------------------
-
-template <class T>
-nb::object numpy_image(std::vector<T>&& values, size_t dimensions, const size_t* shape) {
-    auto* owner = new std::vector<T>(std::move(values));
-    nb::capsule capsule(owner, [](void* pointer) noexcept { delete static_cast<std::vector<T>*>(pointer); });
-    return nb::cast(nb::ndarray<nb::numpy, T>(owner->data(), dimensions, shape, capsule));
-}
-
-template <class T>
-nb::object give_image(Buffer<T>&& buffer, int width, int height, int channels) {
-#if defined(SVGF_CUDA)
-    return nb::cast(DeviceImage{std::move(buffer), height, width, channels}, nb::rv_policy::move);
-#else
-    auto* owner = new Buffer<T>(std::move(buffer));
-    nb::capsule capsule(owner, [](void* pointer) noexcept { delete static_cast<Buffer<T>*>(pointer); });
-    const size_t shape[3] = {size_t(height), size_t(width), size_t(channels)};
-    return nb::cast(nb::ndarray<nb::numpy, T>(owner->data(), channels == 1 ? 2 : 3, shape, capsule));
-#endif
-}
-
-nb::object to_numpy(Device& device, nb::object image) {
-#if defined(SVGF_CUDA)
-    if (nb::isinstance<DeviceImage>(image)) {
-        const auto& source = nb::cast<DeviceImage&>(image);
-        const size_t shape[3] = {size_t(source.height), size_t(source.width), size_t(source.channels)};
-        return std::visit(
-            [&](const auto& pixels) {
-                using Value = std::remove_const_t<std::remove_pointer_t<decltype(pixels.data())>>;
-                auto* owner = new std::shared_ptr<void>(device.host_memory(pixels.bytes()));
-                nb::capsule capsule(owner, [](void* memory) noexcept { delete static_cast<std::shared_ptr<void>*>(memory); });
-                {
-                    nb::gil_scoped_release release;
-                    device.download(owner->get(), pixels.data(), pixels.bytes());
-                }
-                return nb::cast(nb::ndarray<nb::numpy, Value>(owner->get(), source.channels == 1 ? 2 : 3, shape, capsule));
-            },
-            source.pixels);
-    }
-#endif
-    (void)device;
-    return image;
-}
-
 // --- Tracer ----------------------------------------------------------------------------------------------------------
 
 std::shared_ptr<Mesh> make_mesh(Device& device, HostArray<float> positions, HostArray<int32_t> triangles,
@@ -229,8 +79,8 @@ bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArra
     return mesh.refit(device, arrays);
 }
 
-std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels, bool srgb,
-                                      int interpolation, int extension, bool associated_alpha) {
+std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels,
+                                      bool srgb, int interpolation, int extension, bool associated_alpha) {
     if (pixels.ndim() != 3 || pixels.shape(2) != 4) throw InputError("A texture's pixels must be [H, W, 4].");
     const int height = int(pixels.shape(0)), width = int(pixels.shape(1));
     if (pixels.dtype() == nb::dtype<uint8_t>())
@@ -302,13 +152,22 @@ LightPaths read_light_paths(int bounces, const std::vector<double>& values) {
 }
 
 template <class Choice>
-Choice choose(const std::string& value, const char* what, std::initializer_list<std::pair<const char*, Choice>> choices) {
+Choice choose(const std::string& value, const char* what,
+              std::initializer_list<std::pair<const char*, Choice>> choices) {
     std::string names;
     for (const auto& [name, choice] : choices) {
         if (value == name) return choice;
         names += names.empty() ? name : std::string(", ") + name;
     }
     throw InputError("There is no " + std::string(what) + " \"" + value + "\"; choose one of " + names + ".");
+}
+
+nb::dict give_images(std::vector<Image>&& images, int width, int height) {
+    nb::dict result;
+    for (auto& image : images)
+        result[image.name.c_str()] = std::visit(
+            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
+    return result;
 }
 
 nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int samples, uint32_t seed, int bounces,
@@ -335,11 +194,7 @@ nb::dict trace(Tracer& tracer, int width, int height, uint32_t sample, int sampl
         nb::gil_scoped_release release;
         images = tracer.trace(frame);
     }
-    nb::dict result;
-    for (auto& image : images)
-        result[image.name.c_str()] = std::visit(
-            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
-    return result;
+    return give_images(std::move(images), width, height);
 }
 
 nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
@@ -350,30 +205,7 @@ nb::dict cast_rays(Tracer& tracer, HostArray<float> rays, bool any_hit) {
         nb::gil_scoped_release release;
         images = tracer.cast(span_of(rays), width, height, any_hit);
     }
-    nb::dict result;
-    for (auto& image : images)
-        result[image.name.c_str()] = std::visit(
-            [&](auto& pixels) { return give_image(std::move(pixels), width, height, image.channels); }, image.pixels);
-    return result;
-}
-
-// --- Device ----------------------------------------------------------------------------------------------------------
-
-// A numpy image, float32 or int32 [H, W] or [H, W, C], as this device's tracers and denoisers return theirs.
-nb::object upload(Device& device, nb::object image) {
-#if defined(SVGF_CUDA)
-    const auto convert = [&]<class Value>(const HostArray<Value>& array) {
-        if (array.ndim() < 2 || array.ndim() > 3) throw InputError("An image has two or three dimensions.");
-        return give_image(Buffer<Value>(device, span_of(array), "an input image"), int(array.shape(1)),
-                          int(array.shape(0)), array.ndim() == 3 ? int(array.shape(2)) : 1);
-    };
-    HostArray<int32_t> ids;
-    if (nb::try_cast(image, ids, false)) return convert(ids);
-    return convert(nb::cast<HostArray<float>>(image));
-#else
-    (void)device;
-    return image;
-#endif
+    return give_images(std::move(images), width, height);
 }
 
 // --- Denoiser --------------------------------------------------------------------------------------------------------
@@ -468,32 +300,14 @@ nb::list denoise_settings() {
     return table;
 }
 
-}  // namespace
-}  // namespace svgf
+// --- Module ----------------------------------------------------------------------------------------------------------
 
-NB_MODULE(SVGF_MODULE, module) {
-    using namespace svgf;
-    nb::register_exception_translator(translate_error);
-    // At exit objects may outlive the module, held by whoever made them; that is no news for a user's terminal.
-    nb::set_leak_warnings(false);
-
+void bind_device(nb::module_& module) {
     module.def("list_devices", [] {
         std::vector<std::tuple<std::string, size_t, std::string>> devices;
         for (const auto& info : list_devices()) devices.emplace_back(info.name, info.memory_bytes, info.reason);
         return devices;
     }, "(name, memory in bytes or 0, reason why it cannot be used or '') of each device.");
-    module.def("kernels", [] {
-        std::vector<uint32_t> kernels;
-        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
-        return kernels;
-    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame runs.");
-    module.def("reset_reasons", [] {
-        nb::dict result;
-        for (size_t i = 0; i < std::size(reset_reason_names); ++i)
-            result[nb::str(reset_reason_names[i].data(), reset_reason_names[i].size())] = int(i);
-        return result;
-    }, "Names and values of ResetReason in denoise/denoiser.h.");
-    module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 #if !defined(SVGF_CUDA)
     module.def("processor_has_avx2", [] {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -529,13 +343,23 @@ NB_MODULE(SVGF_MODULE, module) {
     nb::class_<DeviceImage>(module, "DeviceImage")
         .def("__dlpack__", &dlpack_capsule, nb::kw_only(), "stream"_a = nb::none(), "kwargs"_a)
         .def("__dlpack_device__", [](const DeviceImage& image) {
-            return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); }, image.pixels);
+            return std::visit([](const auto& buffer) { return std::pair(device_type, buffer.device().index()); },
+                              image.pixels);
         })
         .def_prop_ro("shape", [](const DeviceImage& image) {
             return image.channels == 1 ? nb::object(nb::make_tuple(image.height, image.width))
                                        : nb::object(nb::make_tuple(image.height, image.width, image.channels));
         });
 #endif
+}
+
+void bind_tracer(nb::module_& module) {
+    module.def("kernels", [] {
+        std::vector<uint32_t> kernels;
+        for (const Effects kernel : Tracer::kernels()) kernels.push_back(uint32_t(kernel));
+        return kernels;
+    }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame "
+       "runs.");
 
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,
@@ -572,6 +396,16 @@ NB_MODULE(SVGF_MODULE, module) {
              "pixel_filter"_a, "signals"_a, "light_paths"_a = std::vector<double>{}, "transparent_film"_a = false,
              "kernel"_a = 0)
         .def("cast", &cast_rays, "rays"_a, "any_hit"_a);
+}
+
+void bind_denoiser(nb::module_& module) {
+    module.def("reset_reasons", [] {
+        nb::dict result;
+        for (size_t i = 0; i < std::size(reset_reason_names); ++i)
+            result[nb::str(reset_reason_names[i].data(), reset_reason_names[i].size())] = int(i);
+        return result;
+    }, "Names and values of ResetReason in denoise/denoiser.h.");
+    module.def("denoise_settings", &denoise_settings, "The rows of SVGF_DENOISE_SETTINGS in denoise/settings.h.");
 
     nb::class_<Denoiser>(module, "Denoiser")
         .def("__init__", [](Denoiser* self, Device& device, int width, int height, const std::string& method_name,
@@ -595,7 +429,8 @@ NB_MODULE(SVGF_MODULE, module) {
         .def("fireflies", [](const Denoiser& denoiser) {
             const FireflyCount count = denoiser.fireflies();
             return std::pair(count.samples, double(count.light) / light_units);
-        }, "Samples of the last frame that svgf+ scaled down, and the luminance over albedo that was cut, over all pixels.")
+        }, "Samples of the last frame that svgf+ scaled down, and the luminance over albedo that was cut, over all "
+           "pixels.")
         .def("traffic", [](const Denoiser& denoiser) {
             nb::dict result;
             for (const auto& [stage, bytes] : denoiser.traffic()) result[stage.c_str()] = bytes;
@@ -606,4 +441,17 @@ NB_MODULE(SVGF_MODULE, module) {
             for (const auto& info : denoiser.buffers()) buffers.emplace_back(info.name, info.bytes);
             return buffers;
         }, "(name, bytes) of each buffer that the denoiser holds between frames.");
+}
+
+}  // namespace
+}  // namespace svgf
+
+NB_MODULE(SVGF_MODULE, module) {
+    using namespace svgf;
+    nb::register_exception_translator(translate_error);
+    // At exit objects may outlive the module, held by whoever made them; that is no news for a user's terminal.
+    nb::set_leak_warnings(false);
+    bind_device(module);
+    bind_tracer(module);
+    bind_denoiser(module);
 }

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The three ways to run a frame, behind one set of names: ``cuda``, ``cpu`` and ``reference``.
 
-``open_device(name)`` gives a Device whose mesh, texture, tracer and denoiser factories have the same signatures on each.
+``open_device(name)`` gives a Device whose mesh, texture, tracer and denoiser factories have the same signatures on
+each.
 """
 
 from __future__ import annotations

@@ -134,6 +134,7 @@ class SceneArchive:
 
 
 def array_entry(digest: str) -> str:
+    """The name of an array's entry."""
     return f"arrays/{digest}.npy"
 
 

@@ -98,6 +98,7 @@ class SceneFile:
         return scene
 
     def close(self) -> None:
+        """Scenes that were read stay whole; no other can be read."""
         self._archive.close()
 
     def __iter__(self) -> Iterator[Scene]:

@@ -35,6 +35,7 @@ class SceneWriter:
         self._last_digests: dict[int, tuple[np.ndarray, str]] = {}
 
     def add(self, scene: Scene) -> None:
+        """Raises InputError where the scene is not valid, or there is one with its frame number."""
         warnings = self._validator.check(scene)
         if scene.frame in self._frames:
             raise InputError(
@@ -45,6 +46,7 @@ class SceneWriter:
         self._frames[scene.frame] = self._record(warned)
 
     def finish(self) -> None:
+        """Writes the manifest. Raises InputError where there is no frame, or the file could not be read again."""
         if not self._frames:
             raise InputError(f"{self._source}: there is no frame to save.", "Choose frames that the scene has.")
         manifest = {

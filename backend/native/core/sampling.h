@@ -4,6 +4,12 @@
 // The numbers are a function of (pixel, seed, sample, pair), in integers, so every device draws the same ones. Each
 // pair of dimensions of each pixel is a 2D Sobol sequence, shuffled and scrambled on its own [Burley20]: within a
 // pixel the samples of one pair are stratified, between pairs and pixels they are independent.
+//
+// Points stratified over the screen as well [Ahmed20] were measured and left out: scrambled anew in each frame, or in
+// 8x8 tiles of which each pixel stays stratified over time. In one frame the means of 4x4 pixels have 8 to 36 % less
+// variance, but svgf+ makes little of it (our scenes, 480x270): FLIP -1.6 to +1.7 % at frame 16, relative MSE -1.2 to
+// +1.8 % and flicker -0.3 to -3.8 % over frames 5 to 16. The first kind gains most, and ruins still views: after 16
+// samples a pixel's squared error is 3 to 90 times that of these points, for analytic integrands.
 #pragma once
 
 #include "core/bits.h"

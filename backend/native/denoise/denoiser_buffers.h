@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The denoiser's memory: which buffers a method needs, where in them each signal's images lie, and the launch of a stage
-// on them. Members of Denoiser that several of its sources use.
+// The denoiser's memory: which buffers a method needs, where in them each signal's images lie, and the launch of a
+// stage on them. Members of Denoiser that several of its sources use.
 #pragma once
 
 #include <type_traits>

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..devices import Device
-from ..errors import InputError
 from ..frame import Frame
 from ..metrics import Flicker, flip, relative_mse
 from ..renderer import Renderer
 from ..scene import Scene
 from ..settings import Settings
+from .accuracy import count_unmeasured
 
 WHOLE = "whole"
 # Per method: what is switched off, and the settings that do it.
@@ -87,11 +87,7 @@ def measure(
 ) -> list[Ablation]:
     """scenes: consecutive frames; the last len(references) of them are measured, against one reference each. name: what
     the rows call the scene. step: called after each frame. Raises InputError with fewer than two references."""
-    if not 2 <= len(references) <= len(scenes):
-        raise InputError(
-            f"{name} has {len(scenes)} frames and {len(references)} references.", "Measure at least two frames."
-        )
-    unmeasured = len(scenes) - len(references)
+    unmeasured = count_unmeasured(name, scenes, references)
     result = []
     for method, off, changes in rows_of(methods):
         changed = replace(settings, method=method, denoise=dataclasses.replace(settings.denoise, **changes))

@@ -2,9 +2,9 @@
 """What accuracy costs in time: the error that is left, beside the milliseconds that were spent.
 
 Every way to spend them is rendered over the same frames and compared with the same converged images, which are traced
-with another seed, so that nothing is compared with its own noise. Errors are means over the frames from ``first`` on, when a
-temporal mean has had time to settle; the frames before them are rendered all the same. Times are the device's own for a
-whole frame without the host's work on the scene: medians over the measured frames.
+with another seed, so that nothing is compared with its own noise. Errors are means over the frames from ``first`` on,
+when a temporal mean has had time to settle; the frames before them are rendered all the same. Times are the device's
+own for a whole frame without the host's work on the scene: medians over the measured frames.
 """
 
 from __future__ import annotations
@@ -69,6 +69,16 @@ def converge(
     return images
 
 
+def count_unmeasured(name: str, scenes: Sequence[Scene], references: Sequence[np.ndarray]) -> int:
+    """How many frames come before those that are measured. Raises InputError with fewer than two references, as
+    flicker is between two frames."""
+    if not 2 <= len(references) <= len(scenes):
+        raise InputError(
+            f"{name} has {len(scenes)} frames and {len(references)} references.", "Measure at least two frames."
+        )
+    return len(scenes) - len(references)
+
+
 def measure(
     device: Device,
     settings: Settings,
@@ -81,12 +91,10 @@ def measure(
 ) -> list[Accuracy]:
     """Renders the scenes once for each variant (method, samples per pixel).
 
-    scenes: consecutive frames; the last len(references) of them are measured, against one reference each. name: what the
-    rows call the scene. step: called after each frame. Raises InputError with fewer than two references.
+    scenes: consecutive frames; the last len(references) of them are measured, against one reference each. name: what
+    the rows call the scene. step: called after each frame. Raises InputError with fewer than two references.
     """
-    if not 2 <= len(references) <= len(scenes):
-        raise InputError(f"{name} has {len(scenes)} frames and {len(references)} references.", "Measure at least two frames.")
-    unmeasured = len(scenes) - len(references)
+    unmeasured = count_unmeasured(name, scenes, references)
     rows: list[Accuracy] = []
     for method, samples in variants:
         renderer = Renderer(dataclasses.replace(settings, method=method, samples=samples), device)

@@ -113,7 +113,8 @@ def cornell_box(size: tuple[int, int] = (1920, 1080), bounces: int = 4) -> Scene
                 a, b = axes[(k + 1) % 3], axes[(k + 2) % 3]
                 quads.append((_quad(np.add(centre, side * axes[k]), a * side, b), 0))
     triangles = np.concatenate([np.array([(0, 1, 2), (0, 2, 3)]) + 4 * i for i in range(len(quads))])
-    mesh = _mesh("box", np.concatenate([quad for quad, _ in quads]), triangles, np.repeat([slot for _, slot in quads], 2))
+    positions, slots = np.concatenate([quad for quad, _ in quads]), np.repeat([slot for _, slot in quads], 2)
+    mesh = _mesh("box", positions, triangles, slots)
     right = np.tan(np.radians(39.3077) / 2.0)
     top = right * size[1] / size[0]
     to_world = np.concatenate([np.eye(3), [[0.0], [0.0], [4.0]]], axis=1)

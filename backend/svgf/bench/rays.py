@@ -262,7 +262,8 @@ def plot(rows: Sequence[RayTime], title: str) -> bytes:
     for index, kind in enumerate(kinds):
         mine = {row.scene: row.gigarays for row in rows if row.what == kind}
         places = np.array([scenes.index(scene) for scene in mine]) + (index - (len(kinds) - 1) / 2) * 0.8 / len(kinds)
-        axes.bar_label(axes.bar(places, list(mine.values()), 0.75 / len(kinds), label=kind), fmt="%.2f", fontsize="small")
+        bars = axes.bar(places, list(mine.values()), 0.75 / len(kinds), label=kind)
+        axes.bar_label(bars, fmt="%.2f", fontsize="small")
     axes.set_xticks(range(len(scenes)), scenes)
     axes.set_ylabel("1e9 rays per second")
     axes.legend()

@@ -3,42 +3,30 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ..errors import InputError
+from .bench_accuracy import ablation, accuracy
+from .bench_scenes import (
+    BouncesOption,
+    CountOption,
+    FilesArgument,
+    ImageSizeOption,
+    MethodOption,
+    MethodsOption,
+    SizesOption,
+    WarmUpOption,
+    read_frames,
+    scene_paths,
+)
 from .options import DeviceOption, JsonOption, parse_size
 from .report import CsvOption, PlotOption, publish, table
 
-if TYPE_CHECKING:
-    from ..scene import Scene
-
 app = typer.Typer(help="Measure what a frame costs.", no_args_is_help=True)
-
-FilesArgument = Annotated[
-    list[Path] | None, typer.Argument(help="Scenes; those that come with svgf by default.", show_default=False)
-]
-ImageSizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")]
-SizesOption = Annotated[list[str] | None, typer.Option("--size", metavar="WxH", help="Pixels; may be given again.")]
-MethodOption = Annotated[str, typer.Option(metavar="NAME", help="svgf+, svgf, eaw or none.")]
-MethodsOption = Annotated[
-    list[str] | None, typer.Option("--method", metavar="NAME", help="May be given again.", show_default=False)
-]
-BouncesOption = Annotated[
-    int | None, typer.Option(metavar="N", help="Light bounces. Default: what the file says.")
-]
-CountOption = Annotated[int, typer.Option(metavar="N", min=1, help="Frames to measure.")]
-WarmUpOption = Annotated[int, typer.Option(metavar="N", min=0, help="Frames before them.")]
-FramesOption = Annotated[str, typer.Option("--frames", metavar="A-B", help="Consecutive frames to render.")]
-FirstOption = Annotated[int, typer.Option(metavar="N", help="The first frame that is measured.")]
-ReferenceOption = Annotated[int, typer.Option(metavar="N", min=1, help="Samples per pixel of the truth.")]
-
 
 @app.callback()
 def bench() -> None:
@@ -64,14 +52,14 @@ def stages(
     from ..settings import Settings
     from .progress import progress_bar, render_frame
 
-    paths = _paths(files)
+    paths = scene_paths(files)
     image_size = parse_size(size)
     settings = Settings(*image_size, method=method, bounces=bounces)
     opened = open_device(device)
     times: list[StageTime] = []
     with progress_bar("Measuring", (warm_up + count) * len(paths)) as bar:
         for path in paths:
-            scenes, export_ms = _read(path, image_size, warm_up + count)
+            scenes, export_ms = read_frames(path, image_size, warm_up + count)
             renderer: Renderer = Renderer(settings, opened)
             times += measure(
                 renderer, path.stem, scenes, count, warm_up, export_ms, partial(render_frame, renderer), bar.step
@@ -112,13 +100,13 @@ def resolution(
     from ..settings import Settings
     from .progress import progress_bar, render_frame
 
-    paths = _paths(files)
+    paths = scene_paths(files)
     image_sizes = [parse_size(size) for size in sizes] if sizes else SIZES
     opened = open_device(device)
     rows: list[ResolutionCost] = []
     with progress_bar("Measuring", (warm_up + count) * len(image_sizes) * len(paths)) as bar:
         for path in paths:
-            scenes, _ = _read(path, image_sizes[0], warm_up + count)
+            scenes, _ = read_frames(path, image_sizes[0], warm_up + count)
             settings = Settings(*image_sizes[0], method=method, bounces=bounces)
             rows += measure(
                 opened, settings, path.stem, scenes, image_sizes, count, warm_up, render_frame, bar.step
@@ -147,60 +135,7 @@ def resolution(
     )
 
 
-@app.command()
-def accuracy(
-    files: FilesArgument = None,
-    size: ImageSizeOption = "960x540",
-    device: DeviceOption = "auto",
-    frames: FramesOption = "1-16",
-    first: FirstOption = 5,
-    reference_spp: ReferenceOption = 1024,
-    quick: Annotated[bool, typer.Option("--quick", help="Only 1 sample per pixel, and the input of svgf.")] = False,
-    csv_file: CsvOption = None,
-    plot_file: PlotOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """What accuracy costs in time: relMSE, FLIP and flicker against milliseconds, for each method and sample count."""
-    from ..bench.accuracy import VARIANTS, Accuracy, converge, measure, plot
-    from ..devices import open_device
-    from ..settings import Settings
-    from .progress import progress_bar, render_frame
-
-    paths = _paths(files)
-    image_size = parse_size(size)
-    settings = Settings(*image_size)
-    opened = open_device(device)
-    variants = [variant for variant in VARIANTS if not quick or variant[1] == 1]
-    rows: list[Accuracy] = []
-    for path in paths:
-        scenes, measured = _animation(path, frames, first, image_size)
-        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
-            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
-        with progress_bar(f"{path.stem}: variants", len(scenes) * len(variants)) as bar:
-            rows += measure(opened, settings, path.stem, scenes, references, variants, render_frame, bar.step)
-    publish(
-        f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp",
-        rows,
-        table(
-            ("scene", "method", "spp", "ms", "relMSE", "FLIP", "SSIM", "flicker"),
-            [
-                (
-                    row.scene,
-                    row.method,
-                    str(row.samples),
-                    f"{row.milliseconds:.3f}",
-                    *(f"{value:.4f}" for value in (row.relmse, row.flip, row.ssim, row.flicker)),
-                )
-                for row in rows
-            ],
-            names=2,
-            section=lambda line: line[0],
-        ),
-        csv_file=csv_file,
-        plot_file=plot_file,
-        plot=plot,
-        as_json=as_json,
-    )
+app.command()(accuracy)
 
 
 @app.command()
@@ -316,62 +251,7 @@ def denoise(
     )
 
 
-@app.command()
-def ablation(
-    files: FilesArgument = None,
-    size: ImageSizeOption = "480x270",
-    device: DeviceOption = "auto",
-    methods: MethodsOption = None,
-    frames: FramesOption = "1-16",
-    first: FirstOption = 5,
-    reference_spp: ReferenceOption = 1024,
-    csv_file: CsvOption = None,
-    plot_file: PlotOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
-    from ..bench.ablation import STEPS, Ablation, measure, plot, rows_of
-    from ..bench.accuracy import converge
-    from ..devices import open_device
-    from ..settings import Settings, check_name
-    from .progress import progress_bar, render_frame
-
-    paths = _paths(files)
-    image_size = parse_size(size)
-    chosen = methods or list(STEPS)
-    for method in chosen:
-        check_name("The method", method, tuple(STEPS))
-    settings = Settings(*image_size)
-    opened = open_device(device)
-    rows: list[Ablation] = []
-    for path in paths:
-        scenes, measured = _animation(path, frames, first, image_size)
-        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
-            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
-        with progress_bar(f"{path.stem}: steps", len(scenes) * len(rows_of(chosen))) as bar:
-            rows += measure(opened, settings, path.stem, scenes, references, chosen, render_frame, bar.step)
-    publish(
-        f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp",
-        rows,
-        table(
-            ("scene", "method", "without", "relMSE", "FLIP", "flicker", "ms"),
-            [
-                (
-                    row.scene,
-                    row.method,
-                    row.off if row.off != "whole" else "-",
-                    *(f"{value:.4f}" for value in (row.relmse, row.flip, row.flicker, row.milliseconds)),
-                )
-                for row in rows
-            ],
-            names=3,
-            section=lambda line: line[:2],
-        ),
-        csv_file=csv_file,
-        plot_file=plot_file,
-        plot=plot,
-        as_json=as_json,
-    )
+app.command()(ablation)
 
 
 @app.command()
@@ -393,7 +273,7 @@ def rays(
 
     image_size = parse_size(size)
     opened = open_device(device)
-    scenes = [(path.stem, _read(path, image_size, 1)[0][0]) for path in files or ()]
+    scenes = [(path.stem, read_frames(path, image_size, 1)[0][0]) for path in files or ()]
     rows = measure(opened, scenes, image_size, count, mitsuba)
     publish(
         f"{opened.description} ({opened.name}), {size}: medians of {count} launches",
@@ -424,7 +304,9 @@ def rays(
 def effects(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(help="Scenes; Mitsuba's Cornell box and those that come with svgf by default.", show_default=False),
+        typer.Argument(
+            help="Scenes; Mitsuba's Cornell box and those that come with svgf by default.", show_default=False
+        ),
     ] = None,
     size: ImageSizeOption = "1920x1080",
     device: DeviceOption = "auto",
@@ -443,7 +325,7 @@ def effects(
     image_size = parse_size(size)
     opened = open_device(device)
     # The second frame: what moves in the scene has moved.
-    scenes = [(path.stem, _read(path, image_size, 2)[0][-1]) for path in _paths(files)]
+    scenes = [(path.stem, read_frames(path, image_size, 2)[0][-1]) for path in scene_paths(files)]
     if not files:
         scenes.insert(0, ("cornell_box", cornell_box(image_size)))
     rows = []
@@ -521,42 +403,3 @@ def cycles(
         csv_file=csv_file,
         as_json=as_json,
     )
-
-
-def _paths(files: list[Path] | None) -> list[Path]:
-    from .sources import shipped_scenes
-
-    paths = files or list(shipped_scenes().values())
-    if not paths:
-        raise InputError("This installation of svgf has no scenes.", "Install svgf again, or give files.")
-    return paths
-
-
-def _animation(path: Path, frames: str, first: int, size: tuple[int, int]) -> tuple[list[Scene], list[Scene]]:
-    """The frames "A-B" of a file, and those of them that are measured."""
-    from ..frame_range import parse_frames
-    from .sources import open_scenes
-
-    with open_scenes(path, parse_frames(frames), size) as source:
-        scenes = list(source)
-    return scenes, [scene for scene in scenes if scene.frame >= first]
-
-
-def _read(path: Path, size: tuple[int, int], most: int) -> tuple[list[Scene], list[float]]:
-    """As many frames as will be rendered at most, and what each took to export (.blend only)."""
-    from .sources import open_scenes
-
-    with open_scenes(path, None, size) as scenes:
-        timed = list(_timed(scenes, most))
-    exported = path.suffix.lower() == ".blend"
-    # The first frame opens the file and exports what later ones share.
-    return [scene for scene, _ in timed], [ms for _, ms in timed[1:]] if exported else []
-
-
-def _timed(scenes: Iterator[Scene], most: int) -> Iterator[tuple[Scene, float]]:
-    for _ in range(most):
-        start = time.perf_counter()
-        scene = next(scenes, None)
-        if scene is None:
-            return
-        yield scene, (time.perf_counter() - start) * 1e3

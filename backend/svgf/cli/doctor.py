@@ -154,7 +154,8 @@ def _kernels(scenes: Sequence[Scene]) -> Table:
         device = open_device(info.name)
         kernel = device.kernel_for(effects)
         place = f"{device.kernels.index(kernel) + 1} of {len(device.kernels)}"
-        table.add_row(info.name, place, ", ".join(effect.name for effect in Effects if effect not in kernel) or "nothing")
+        left_out = ", ".join(effect.name for effect in Effects if effect not in kernel)
+        table.add_row(info.name, place, left_out or "nothing")
     return table
 
 

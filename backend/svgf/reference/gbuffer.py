@@ -128,7 +128,7 @@ def _see_through(
 def may_follow(
     event: np.ndarray, bounces: int, limits: LightPaths, reflections: np.ndarray, refractions: np.ndarray
 ) -> np.ndarray:
-    """bool [n]: whether chains of so many links have another one. event: of smooth_bounce."""
+    """bool [n]: whether chains of so many links have another one. event: of find_smooth_bounce."""
     refracts = event == TRANSMISSION
     made = np.where(refracts, refractions, reflections)
     allowed = np.where(refracts, limits.transmission_bounces, limits.glossy_bounces)

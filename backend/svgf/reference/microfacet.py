@@ -12,6 +12,7 @@ LARGEST_F0 = 0.99
 
 
 def normal_reflectance(ior: np.ndarray) -> np.ndarray:
+    """Reflectance of a dielectric at normal incidence, F(1)."""
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
@@ -118,6 +119,7 @@ def sample_visible_normal(view: np.ndarray, alpha: np.ndarray, uv: np.ndarray) -
 
 
 def reflect(view: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """The mirrored direction [n, 3]."""
     return 2.0 * dot(view, half)[:, None] * half - view
 
 

@@ -14,7 +14,9 @@ import numpy as np
 from ..flatten import MATERIAL_COLUMNS
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
-from .bsdf import NONE, Bsdf, BsdfSample, evaluate, sample, smooth_bounce
+from .bsdf import NONE, Bsdf
+from .bsdf_evaluate import evaluate
+from .bsdf_sample import BsdfSample, find_smooth_bounce, sample
 from .gbuffer import BACKGROUND_DEPTH, may_follow
 from .intersect import SHADOW_END, Hits, offset_origin
 from .opacity import find_path_hits, shadow_transmittance, surface_choice
@@ -250,7 +252,7 @@ def _leave_or_follow_chains(
 ) -> None:
     """At the first surface that does not go on with a path's chain, which is what the pixel sees, share [n, 3] divides
     the light to come."""
-    event = smooth_bounce(bsdf).event if follows else np.full(len(paths.pixel), NONE)
+    event = find_smooth_bounce(bsdf).event if follows else np.full(len(paths.pixel), NONE)
     made = [paths.bounces[:, _KINDS.index(kind)] for kind in (RayVisibility.GLOSSY, RayVisibility.TRANSMISSION)]
     goes_on = may_follow(event, bounces, limits, *made)
     stays = paths.on_chain & goes_on & found.delta & (found.event == event)

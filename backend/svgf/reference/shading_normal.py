@@ -1,17 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shading normals that are bent where their reflections would pass through the surface, and what a normal map hides."""
+"""Which way a surface faces for shading: flipped to the viewer, bent where its reflections would pass through the
+surface, and what a normal map hides. Arrays have one row per ray; normals and directions are [n, 3], world."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from .vec import dot, normalize
+from ..scene import MaterialKind
+from .layers import column, has_smooth_coat_normal
+from .vec import dot, flip_towards, normalize
 
-# Shading normals are bent so that the viewer stays above the horizon.
-SMALLEST_COSINE = 0.01
+# Shading normals are bent until the viewer is this far above their horizon.
+SMALLEST_COS_VIEW = 0.01
 
 
-def valid_reflection(normal: np.ndarray, geometric_normal: np.ndarray, view: np.ndarray) -> np.ndarray:
+@dataclass
+class Orientation:
+    """Normals on the viewer's side. smooth_normal: before the normal map. diffuse_normal, coat_normal: of lobes D and H
+    and of lobe C; tilted_diffuse, tilted_coat: bool [n], where they are not ``normal``. entering: the viewer is
+    outside."""
+
+    normal: np.ndarray
+    geometric_normal: np.ndarray
+    smooth_normal: np.ndarray
+    diffuse_normal: np.ndarray
+    tilted_diffuse: np.ndarray
+    coat_normal: np.ndarray
+    tilted_coat: np.ndarray
+    entering: np.ndarray
+
+
+def orient(
+    view: np.ndarray,
+    normal: np.ndarray,
+    geometric_normal: np.ndarray,
+    rows: np.ndarray,
+    smooth_normal: np.ndarray | None = None,
+) -> Orientation:
+    """normal: with the normal map; smooth_normal: without it. rows: [n, 48] of materials, maps applied."""
+    entering = dot(geometric_normal, view) > 0.0
+    geometric_normal = flip_towards(geometric_normal, view)
+    mapped = flip_towards(normal, geometric_normal)
+    smooth_normal = mapped if smooth_normal is None else flip_towards(smooth_normal, geometric_normal)
+    normal = np.where(has_reflection(rows)[:, None], make_reflecting(mapped, geometric_normal, view), mapped)
+    # Reflections must stay above the surface; what a normal map makes of diffuse light may be below.
+    tilted_diffuse = (column(rows, "normal_uv_layer") >= 0) & (normal != mapped).any(axis=1)
+    tilted_coat = (
+        (column(rows, "kind") == MaterialKind.PRINCIPLED)
+        & has_smooth_coat_normal(rows)
+        & (column(rows, "coat_weight") > 0.0)
+    )
+    return Orientation(
+        normal=normal,
+        geometric_normal=geometric_normal,
+        smooth_normal=smooth_normal,
+        diffuse_normal=np.where(tilted_diffuse[:, None], mapped, normal),
+        tilted_diffuse=tilted_diffuse,
+        coat_normal=np.where(tilted_coat[:, None], make_reflecting(smooth_normal, geometric_normal, view), normal),
+        tilted_coat=tilted_coat,
+        entering=entering,
+    )
+
+
+def has_reflection(rows: np.ndarray) -> np.ndarray:
+    """bool [n]: the material has a lobe that mirrors, whose normal must then keep mirrored views above the surface."""
+    kind = column(rows, "kind")
+    mirrors = (kind == MaterialKind.GLOSSY) | (kind == MaterialKind.GLASS) | (kind == MaterialKind.REFRACTION)
+    any_lobe = (column(rows, "ior") != 1.0) & (column(rows, "specular_ior_level") > 0.0)
+    for weight in ("metallic", "transmission", "coat_weight", "sheen_weight"):
+        any_lobe |= column(rows, weight) > 0.0
+    return np.where(kind == MaterialKind.PRINCIPLED, any_lobe, mirrors)
+
+
+def make_reflecting(normal: np.ndarray, geometric_normal: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """The normal of a lobe that mirrors: its reflections stay above the surface, and the viewer above its horizon."""
+    normal = make_reflection_valid(normal, geometric_normal, view)
+    cosine = dot(normal, view)
+    bent = normalize(normal + view * (SMALLEST_COS_VIEW - cosine)[:, None])
+    return np.where((cosine < SMALLEST_COS_VIEW)[:, None], bent, normal)
+
+
+def make_reflection_valid(normal: np.ndarray, geometric_normal: np.ndarray, view: np.ndarray) -> np.ndarray:
     """The normal, turned towards the geometric one just as far as the mirror image of the view needs to be above the
     surface.
 
@@ -32,12 +103,6 @@ def valid_reflection(normal: np.ndarray, geometric_normal: np.ndarray, view: np.
     bent = np.sqrt(1.0 - z2)[:, None] * x + np.sqrt(z2)[:, None] * geometric_normal
     invalid = (dot(geometric_normal, mirrored) < threshold) & (length > 1e-6)
     return np.where(invalid[:, None], bent, normal)
-
-
-def raise_viewer(normal: np.ndarray, view: np.ndarray) -> np.ndarray:
-    cosine = dot(normal, view)
-    bent = normalize(normal + view * (SMALLEST_COSINE - cosine)[:, None])
-    return np.where((cosine < SMALLEST_COSINE)[:, None], bent, normal)
 
 
 def bump_shadowing(smooth: np.ndarray, normal: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,8 @@ import numpy as np
 
 from ..light_paths import LightPaths
 from ..scene import RayVisibility
-from .bsdf import TRANSMISSION, smooth_bounce
+from .bsdf import TRANSMISSION
+from .bsdf_sample import find_smooth_bounce
 from .camera import Camera
 from .gbuffer import LARGEST_GRADIENT, NO_MOTION, PrimaryRays, may_follow
 from .intersect import Hits, offset_origin
@@ -238,7 +239,8 @@ def replace_smooth_surfaces(
 ) -> np.ndarray:
     """Writes what mirrors and glass show over the images of trace_gbuffer, and keeps what the camera's rays hit
     themselves as "first_normal", "first_depth", "first_object_id" and "first_motion". hits, passed: see
-    find_path_hits. Returns the light [n, 3] that the surfaces after the first ones send along the chains by themselves."""
+    find_path_hits. Returns the light [n, 3] that the surfaces after the first ones send along the chains by
+    themselves."""
     for name in ("normal", "depth", "object_id", "motion"):
         images[f"first_{name}"] = images[name].copy()
     walk = _Walk(scene, rays, hits, passed, bounces, limits)
@@ -311,7 +313,7 @@ class _Walk:
 
         t = hits.t[found]
         bsdf = surface.bsdf(view)
-        bounce = smooth_bounce(bsdf)
+        bounce = find_smooth_bounce(bsdf)
         self.distance[rows[~straight]] += t[~straight]
         id_so_far = self.images["object_id"][rows]
         ids = np.where(on_chain, combined_id(id_so_far, surface.object_id), surface.object_id)

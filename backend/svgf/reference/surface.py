@@ -9,7 +9,8 @@ import numpy as np
 
 from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind
-from .bsdf import Bsdf, make_bsdf
+from .bsdf import Bsdf
+from .bsdf_lobes import make_bsdf
 from .environment import World
 from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .layers import column, has_smooth_coat_normal, make_layers
@@ -316,7 +317,12 @@ def _mesh_tangent(shapes: Shapes, triangle: np.ndarray, weights: np.ndarray, lay
 
 
 def _normal_map_axes(
-    shapes: Shapes, triangle: np.ndarray, weights: np.ndarray, corners: np.ndarray, layer: np.ndarray, normal: np.ndarray
+    shapes: Shapes,
+    triangle: np.ndarray,
+    weights: np.ndarray,
+    corners: np.ndarray,
+    layer: np.ndarray,
+    normal: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tangent, bitangent and normal that a normal map is relative to. With tangents of the mesh's own, all three stay
     as they are interpolated [Mikkelsen08]; that of a triangle is made perpendicular to the normal."""

@@ -175,7 +175,8 @@ class Tracer:
     def cast(self, rays: np.ndarray, any_hit: bool) -> dict[str, np.ndarray]:
         """rays [H, W, 8]: origin, direction, and the distances between which hits count, in lengths of the direction.
 
-        Images "distance", infinity where nothing is hit, "instance" and "triangle", -1 there; with any_hit "occluded", 0 or 1.
+        Images "distance", infinity where nothing is hit, "instance" and "triangle", -1 there; with any_hit "occluded",
+        0 or 1.
         """
         shape, rays = rays.shape[:2], np.asarray(rays, dtype=np.float64).reshape(-1, 8)
         everything = np.full(len(rays), int(RayVisibility.ALL))
@@ -195,7 +196,9 @@ class Tracer:
             return World()
         radiance, visibility, texture, *rest = self._world
         backdrop_radiance, backdrop_texture = self._backdrop
-        return World(radiance, visibility, self._image(texture), *rest, backdrop_radiance, self._image(backdrop_texture))
+        return World(
+            radiance, visibility, self._image(texture), *rest, backdrop_radiance, self._image(backdrop_texture)
+        )
 
     def _image(self, texture: int) -> Texture | None:
         return self._textures[texture] if texture >= 0 else None
