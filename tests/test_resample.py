@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""History of one image size as that of another: each pixel the nearest one's, frames in proportion to its area."""
+"""History of one image size as that of another: each pixel the nearest one's or the mean of those that it covers, frames
+in proportion to its area."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import pytest
 from .test_denoiser import HEIGHT, WIDTH, add_noise, make_frame
 
 TEMPORAL = ("svgf+", "svgf")
-SIZES = ((WIDTH // 2, HEIGHT // 2), (2 * WIDTH, 2 * HEIGHT), (WIDTH + 7, HEIGHT - 5), (1, 1))
+SIZES = ((2 * WIDTH, 2 * HEIGHT), (WIDTH + 7, HEIGHT - 5))
 
 
 def after_frames(device, method, count, frame, seed=0):
@@ -44,6 +45,24 @@ def test_each_pixel_is_the_nearest_ones(device, method, size):
             np.testing.assert_allclose(image, expected, rtol=4e-3)  # 9 bits of frames + 1
         else:
             np.testing.assert_array_equal(image, expected)
+
+
+@pytest.mark.parametrize("divisor", [2, 4])
+@pytest.mark.parametrize("method", TEMPORAL)
+def test_larger_pixels_are_means_of_their_object(device, method, divisor):
+    """The left half is another object, whose border lies within the pixels of the fourth column."""
+    frame, edge = make_frame(), 3 * divisor + 1
+    frame["object_id"][:, :edge], frame["depth"][:, :edge] = 2, 5.0
+    denoiser = after_frames(device, method, 5, frame)
+    before = np.asarray(denoiser.history_images()["color0"], float)
+    width, height = WIDTH // divisor, HEIGHT // divisor
+    denoiser.resize(width, height)
+    after = denoiser.history_images()["color0"]
+    blocks = before.reshape(height, divisor, width, divisor, 3)
+    expected = blocks.mean(axis=(1, 3))
+    is_left = edge - 3 * divisor > divisor // 2  # the pixel's centre decides
+    expected[:, 3] = blocks[:, :, 3][:, :, slice(0, 1) if is_left else slice(1, None)].mean(axis=(1, 2))
+    np.testing.assert_allclose(after, expected, rtol=2e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("method", TEMPORAL)

@@ -69,8 +69,9 @@ class Denoiser:
         """The next frame is of another size; history goes on in it."""
         if self.history is not None:
             with self._device.stage("resample"):
-                self.history = resample(self.history, width, height)
-                self.resolved = self.resolved and resample(self.resolved, width, height)
+                object_id = self.history.guides.object_id
+                self.history = resample(self.history, object_id, width, height)
+                self.resolved = self.resolved and resample(self.resolved, object_id, width, height)
         self.width, self.height = width, height
 
     def repaired(self) -> int:
