@@ -19,6 +19,12 @@
 //   w times 16     1.12 1.16 .830 0.957     1.71 .795 .661 0.944
 //   linear         1.17 1.13 .845 0.962     1.83 .792 .663 0.947
 //
+// History of what moves is read by Catmull-Rom, as a mean of four pixels, frame after frame, would blur it: relMSE and
+// FLIP of the arcade, that gallery and Cycles' teapots, frames 5, 8, 12 and 16 (10), over those of OIDN 2.5.1:
+//
+//   bilinear       1.12 .976     1.06 .785     2.57 .831
+//   Catmull-Rom    1.09 .970     0.99 .782     2.09 .817
+//
 // The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
 //
@@ -273,7 +279,7 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Inside the frame. Catmull-Rom, without the four corners, which weigh least, and never beyond the four pixels around.
+    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four pixels.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
         const Cubic columns(px - float(left)), rows(py - float(top));

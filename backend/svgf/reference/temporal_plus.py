@@ -72,8 +72,8 @@ def temporal_plus(
     has_reflections: list[bool],
     unchanged: bool = False,
 ) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
-    """illumination [H, W, 3], is_specular, has_reflections (alone or with other light): per signal. motion: [H, W, 2 or 3], None: nothing moved. unchanged: nor did
-    the light change.
+    """illumination [H, W, 3], is_specular, has_reflections (alone or with other light): per signal. motion: [H, W, 2
+    or 3], None: nothing moved. unchanged: nor did the light change.
 
     Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
     [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there
