@@ -2,7 +2,8 @@
 // Stage "resample": the history of one image size as that of another, so that a view goes on where its window or its
 // resolution changes. Each pixel takes the nearest one's. Where pixels become smaller, their share of the frames is
 // theirs, so that what is blurred gives way to new frames the sooner. Where they become larger, colours are means over
-// the pixel, of the nearest one's object: surfaces must not mix, and one pixel's noise would be a block.
+// the pixel, of the nearest one's object: surfaces must not mix, and one pixel's noise would be a block. The resolved
+// picture counts for few frames, so that denoised ones follow: noisy ones would show in pixels that are larger.
 #pragma once
 
 #include "denoise/storage.h"
@@ -47,12 +48,14 @@ struct Resample {
         } else if (in.resolved.texels) {
             Vec4 color = mean(in.resolved, x, y, from, columns, rows);
             color.w = in.resolved[from].w;
-            out.resolved.store(to, {color.x, color.y, color.z, square(fewer(std::sqrt(color.w)))});
+            const float frames = min(fewer(std::sqrt(color.w)), most_resolved_frames);
+            out.resolved.store(to, {color.x, color.y, color.z, square(frames)});
         }
     }
 
 private:
     static constexpr int most_samples = 4;  // along an axis
+    static constexpr float most_resolved_frames = 8.0f;
 
     // Of a pixel's old ones, along an axis.
     SVGF_HD static int samples(int count, int old_count) { return clamp(old_count / count, 1, most_samples); }

@@ -36,6 +36,7 @@ void* LargePages::allocate(std::size_t bytes) {
     if (open.empty()) {
         void* const data = allocate_pages(page_size, page_size);
         if (!data) return nullptr;
+        open.reserve(pages_.size() + 1);  // release may open any of them, and must not fail
         open.push_back(&*pages_.try_emplace(reinterpret_cast<std::uintptr_t>(data), Page{halvings, {}}).first);
     }
     auto& [address, page] = *open.back();

@@ -13,6 +13,8 @@ from .temporal_plus import HistoryPlus
 
 # Of a pixel's old ones, along an axis.
 MOST_SAMPLES = 4
+# Of the resolved picture: denoised frames follow.
+MOST_RESOLVED_FRAMES = 8.0
 
 
 def resample(history: History | HistoryPlus | Resolved, object_id: Any, width: int, height: int) -> Any:
@@ -28,6 +30,8 @@ def resample(history: History | HistoryPlus | Resolved, object_id: Any, width: i
     old_height, old_width = (old[0] if isinstance(old, list) else old).shape
     share = min(1.0, old_width * old_height / (width * height))
     resampled[counts] = _fewer(resampled[counts], share)
+    if isinstance(history, Resolved):
+        resampled[counts] = namespace(old).minimum(resampled[counts], MOST_RESOLVED_FRAMES)
     return replace(history, **resampled)
 
 
