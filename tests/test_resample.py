@@ -77,6 +77,18 @@ def test_picture_goes_on(device, method):
     assert off < 0.75 * fresh_off and np.median(image["history_length"]) > 30
 
 
+def test_no_noisy_frame_shows_in_a_resized_picture(device):
+    """A still picture goes on with its noisy frames; after a change of size with denoised ones. One bright sample in a
+    frame of constant light stands for their noise: 2 % of it is more than the filter leaves."""
+    denoiser = device.denoiser(WIDTH, HEIGHT, "svgf+", {})
+    for _ in range(40):
+        step(device, denoiser, make_frame())
+    denoiser.resize(WIDTH // 2, HEIGHT // 2)
+    frame = make_frame(HEIGHT // 2, WIDTH // 2)
+    frame["diffuse"][HEIGHT // 4, WIDTH // 4] = 20.0
+    assert step(device, denoiser, frame)["color"].max() < 0.5 + 0.02 * 20.0
+
+
 @pytest.mark.parametrize("divisor", [2, 3])
 @pytest.mark.parametrize("method", TEMPORAL)
 def test_slanted_surfaces_go_on_in_finer_pixels(device, method, divisor):

@@ -179,9 +179,9 @@ private:
         }
         const bool settled = still && history.frames > still_frames - 0.5f;
         const Vec3 past = history.mapped, offset = past - box.mean;
-        float margin = 0.0f;
+        float margin = 0.0f, deviation = 0.0f;  // of the mean of noisy frames
         if (settled) {
-            const float deviation = fast_sqrt(noise(pixel) / history.frames);
+            deviation = fast_sqrt(noise(pixel) / history.frames);
             margin = still_margin + still_box * deviation / (box.white + center.w);
         }
         const Vec3 mapped = box.map(center);
@@ -196,7 +196,7 @@ private:
         const bool light_changed = is_tested && still && has_changed(pixel);
         if (settled && excess <= 1.0f && !light_changed) {
             const float frames = next_count(history.frames, pixel, bits_of(history.color.x));
-            const float left = fast_sqrt(noise(pixel) / history.frames) * fast_reciprocal(box.white);
+            const float left = deviation * fast_reciprocal(box.white);
             const float unseen = clamp(2.0f - left * (1.0f / visible_noise), 0.0f, 1.0f);
             const float contrast = fast_max(box.deviation.x, fast_max(box.deviation.y, box.deviation.z));
             const float masked = clamp(contrast * (1.0f / masking_contrast) - 1.0f, 0.0f, 1.0f) *

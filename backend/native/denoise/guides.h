@@ -61,7 +61,6 @@ SVGF_HD inline Vec3 load3(const float* image, int pixel) {
 // How sharp reflections are: 1 show edges, as a mirror's do, 0 are as smooth as diffuse light. Between these roughnesses
 // it falls, in thirds.
 constexpr float mirror_roughness = 0.1f, matte_roughness = 0.4f;
-constexpr int gloss_steps = 3;
 
 SVGF_HD inline float gloss_of(float roughness) {
     const float gloss = saturate((matte_roughness - roughness) * (1.0f / (matte_roughness - mirror_roughness)));

@@ -19,6 +19,9 @@
 
 namespace svgf {
 
+// Steps of the gloss (guides.h), from 0 to this, that two bits hold.
+constexpr int gloss_steps = 3;
+
 // A frame's geometry: one image or several, in one piece of memory.
 struct FrameSize {
     int width = 0, height = 0;
@@ -176,7 +179,7 @@ struct PackedStorage {
         Guide* texels_ = nullptr;
     };
 
-    // 2 x 16 bits: sign, 7 of exponent, 7 of mantissa; a bit of the gloss (guides.h), which knows four steps.
+    // 2 x 16 bits: sign, 7 of exponent, 7 of mantissa; a bit of the gloss.
     struct Gradients {
         uint32_t* texels = nullptr;
 
@@ -186,11 +189,11 @@ struct PackedStorage {
         SVGF_HD Texel fetch(int pixel) const { return texels[pixel]; }
         SVGF_HD static Vec2 unpack(Texel texel) { return {decode_slope(texel), decode_slope(texel >> 16)}; }
         SVGF_HD static float gloss(Texel texel) {
-            return float((texel & 1u) | (texel >> 15 & 2u)) * (1.0f / 3.0f);
+            return float((texel & 1u) | (texel >> 15 & 2u)) * (1.0f / float(gloss_steps));
         }
         SVGF_HD Vec2 operator[](int pixel) const { return unpack(texels[pixel]); }
         SVGF_HD void store(int pixel, Vec2 gradient, float gloss = 1.0f) const {
-            const uint32_t step = uint32_t(gloss * 3.0f + 0.5f);
+            const uint32_t step = uint32_t(gloss * float(gloss_steps) + 0.5f);
             texels[pixel] = encode_slope(gradient.x) | (step & 1u) | (encode_slope(gradient.y) | step >> 1) << 16;
         }
 
