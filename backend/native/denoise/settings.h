@@ -39,7 +39,7 @@ namespace svgf {
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
     SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                   \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
-    SETTING(change_threshold, float, 0.45, 1e-3, 1e6, "standard deviations", "",                                       \
+    SETTING(change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                                       \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
     SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
