@@ -279,7 +279,7 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four pixels.
+    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
         if (px == float(left) && py == float(top)) {

@@ -22,9 +22,6 @@
 //
 //     all reflections taken for sharp     1.77 1.014 0.981     1.03 0.977 0.970     1.31 0.791 0.969
 //     by their gloss                      1.92 0.922 0.987     1.01 0.888 0.978     1.40 0.776 0.979
-//
-//   The first two departures, for diffuse light, with the second difference and young_frames of temporal_plus.h, had
-//   brought the arcade's FLIP from 1.19 to 0.98 and its mean from 0.919 to 0.951.
 // From [Dammertz10], of which the text and the listing at its end disagree: weights are Gaussians of squared distances,
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.
@@ -376,7 +373,7 @@ struct EdgeAvoiding {
                 if (!is_surface(q.w)) continue;
                 const Vec3 normal_difference = p.xyz() - q.xyz();
                 const Vec3 position_difference = position - camera_position(qx, qy, q.w);
-                // The centre weighs whole, also where positions are so far off that their rounding looks like a distance.
+                // The centre weighs whole, also where positions are so far off that rounding looks like a distance.
                 const float w_log = tap == pixel ? 0.0f
                                                  : normal_scale * dot(normal_difference, normal_difference) +
                                                        position_scale * dot(position_difference, position_difference);

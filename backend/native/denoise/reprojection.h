@@ -86,8 +86,8 @@ struct Reprojection {
         return taps;
     }
 
-    // take(pixel, weight) for every tap that saw the surface, and perhaps with weight 0 for others; where they are not enough, take(pixel, 1) for those of
-    // the 3x3 pixels around the nearest one.
+    // take(pixel, weight) for every tap that saw the surface, and perhaps with weight 0 for others; where they are not
+    // enough, take(pixel, 1) for those of the 3x3 pixels around the nearest one that did.
     template <class Take>
     SVGF_HD void visit(const Point& point, const Taps& taps, const Take& take) const {
         if (taps.are_enough) {
