@@ -77,7 +77,7 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
                 self.report({"WARNING"}, warning)
         properties = depsgraph.scene.svgf
         self.update_stats("", "Rendering")
-        settings = properties.to_settings()
+        settings = properties.to_settings(depsgraph.view_layer.samples or None)
         future = session.start(scene, settings, properties.device)
         return self._wait(session, future, settings.samples)
 

@@ -122,6 +122,10 @@ class Worker:
             self._condition.notify()
 
     @property
+    def measuring(self) -> bool:
+        return self._measuring
+
+    @property
     def busy(self) -> bool:
         """Whether there will be a new result without a new request."""
         return self._thread.is_alive() and self._has_work()

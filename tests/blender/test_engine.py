@@ -160,9 +160,13 @@ def test_passes_that_we_lack_are_named(scene):
     assert unsupported_passes(view_layer) == ()
     view_layer.use_pass_mist = view_layer.use_pass_diffuse_color = True
     view_layer.aovs.add().name = "Mask"
+    view_layer.lightgroups.add(name="Key")
+    if hasattr(view_layer, "cycles"):
+        view_layer.cycles.denoising_store_passes = True
     (sentence,) = unsupported_passes(view_layer)
     assert sentence.startswith('View layer "ViewLayer": passes are not supported yet and left out: ')
-    assert all(name in sentence for name in ("Mist", "Diffuse Color", "Mask (AOV)"))
+    assert all(name in sentence for name in ("Mist", "Diffuse Color", "Mask (AOV)", "Key (light group)"))
+    assert ("Denoising" in sentence) is hasattr(view_layer, "cycles")
 
 
 def test_passes_that_nobody_asks_for_are_not_there(scene, tmp_path):
@@ -181,6 +185,15 @@ def test_settings_reach_the_renderer(scene, tmp_path, engine_device):
     bpy.ops.render.render(write_still=True)
     (frame,) = from_python(save(tmp_path / "settings.blend"), [1], engine_device, method="none", samples=3, seed=7)
     assert np.array_equal(exr.find_pass(rendered(tmp_path), "Combined", "")[..., :3], frame.color)
+
+
+def test_a_view_layer_may_have_samples_of_its_own(scene, tmp_path):
+    images = []
+    scene.svgf.method = "none"
+    for scene.svgf.samples, scene.view_layers[0].samples in ((3, 0), (1, 3)):
+        bpy.ops.render.render(write_still=True)
+        images.append(exr.find_pass(rendered(tmp_path), "Combined", ""))
+    assert np.array_equal(*images)
 
 
 def test_a_still_does_not_depend_on_what_was_rendered_before(scene, tmp_path):

@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -37,12 +38,14 @@ from window import (
 )
 
 # After window, which finds them.
+from svgf.settings import DenoiseSettings
 from svgf_blender.ui import statistics
 
 ENDLESS = 10**6  # samples, so that there is always a frame in the making
 LARGEST_GROWTH = 1.05  # of the resident memory, in a step
 LONGEST_BLOCK_SECONDS = 0.05  # of the main thread's own time
 LONGEST_WAIT_SECONDS = 0.5  # with what other programs on the machine take away
+SHORTEST_OF_REFLECTIONS = 4  # frames of history, of those that move; the longest of a pixel is seen to have 9
 
 
 def script() -> Iterator[float]:
@@ -132,9 +135,9 @@ def toggles(times: int) -> Iterator[float]:
 
 
 def resizes(times: int) -> Iterator[float]:
-    """Of the view by its edge, and of the whole window. No mesh is read again."""
+    """Of the view by its edge, and of the whole window. Nothing is exported."""
     yield 0.5
-    meshes, sizes = session().counters.meshes, set()
+    before, sizes = replace(session().counters), set()
     for step in range(times):
         change = 60 * (-1) ** step
         if step % 10 < 8:
@@ -145,7 +148,7 @@ def resizes(times: int) -> Iterator[float]:
     yield 0.5
     frame, region = session().result.frame, window_region()
     print(f"    {len(sizes)} sizes, the last one {region.width}x{region.height}")
-    assert session().counters.meshes == meshes and len(sizes) >= min(times, 4), sizes
+    assert session().counters == before and len(sizes) >= min(times, 4), sizes
     assert (frame.width, frame.height) == (-(-region.width // 4), -(-region.height // 4))
 
 
@@ -214,12 +217,14 @@ def modes(times: int) -> Iterator[float]:
 def pixel_sizes(times: int) -> Iterator[float]:
     """Each one is a resize of all images; no mesh is read again."""
     yield 0.5
-    meshes = session().counters.meshes
+    before = replace(session().counters)
     for step in range(times):
         window().scene.render.preview_pixel_size = ("8", "4")[step % 2]
         areas("VIEW_3D")[0].tag_redraw()
         yield 0.02
-    assert session().counters.meshes == meshes
+    counters = session().counters
+    # Blender says only that the scene has changed, so all is looked at, and nothing found that is new.
+    assert replace(counters, exports=before.exports, walks=before.walks) == before, (counters, before)
 
 
 def two_views(times: int) -> Iterator[float]:
@@ -273,36 +278,51 @@ def local_view(times: int) -> Iterator[float]:
 
 
 def playback(frames: int) -> Iterator[float]:
-    """History goes on from frame to frame, and only what is animated is exported."""
-    scene, cube = window().scene, bpy.data.objects["Cube"]
-    scene.frame_start, scene.frame_end = 1, frames
-    # Diffuse: a reflection does not move as its surface does, and soon forgets.
-    principled = cube.active_material.node_tree.nodes["Principled BSDF"] if cube.active_material else None
-    if principled:
-        principled.inputs["Specular IOR Level"].default_value = 0.0
+    """History goes on from frame to frame, and only what is animated is exported.
+
+    Twice. Matt, the cube keeps all the history that something gets that moves. Glossy, it keeps less: a reflection does
+    not move as its surface does, is given up where it differs from the new samples (specular_history_clamp), and of two
+    signals Frame.history_length tells the shorter one.
+    """
+    cube = bpy.data.objects["Cube"]
     for frame, x in ((1, -1.0), (frames, 1.0)):
         cube.location.x = x
         cube.keyframe_insert("location", frame=frame)
+    material = cube.active_material or bpy.data.materials.new("Cube")  # the cube may be a new one
+    cube.active_material = material
+    level = material.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"]
+    for level.default_value, kept in ((0.5, SHORTEST_OF_REFLECTIONS), (0.0, int(DenoiseSettings().history_frames))):
+        yield from play_animation(frames, kept)
+    level.default_value = 0.5
+    cube.animation_data_clear()
+    yield 0.2
+
+
+def play_animation(frames: int, kept: int) -> Iterator[float]:
+    """kept: frames that the longest history of a pixel has afterwards, if as many were rendered: Blender does not wait
+    for a frame that takes long."""
+    scene = window().scene
+    scene.frame_start, scene.frame_end = 1, frames
     scene.frame_set(1)
     yield 0.5
-    counters = session().counters
-    meshes, materials, lights, seen = counters.meshes, counters.materials, counters.lights, set()
+    before, restarts, shown = replace(session().counters), set(), set()
     with override():
         bpy.ops.screen.animation_play()
-    end, shown = time.monotonic() + 90, set()
+    end = time.monotonic() + 90
     while len(shown) < frames and time.monotonic() < end:
         yield 0.02
         shown.add(scene.frame_current)
-        seen.add(session().result.reset)
+        restarts.add(session().result.reset)
     with override():
         bpy.ops.screen.animation_cancel(restore_frame=False)
-    print(f"    frames {len(shown)}, restarts {seen}, {counters}")
-    assert (counters.meshes, counters.materials, counters.lights) == (meshes, materials, lights)
-    # Not each frame of Blender's is rendered where that takes longer. 20 frames: what is kept while something moves.
-    result = session().result
-    assert len(seen) == 1 and result.frame.history_length.max() >= min(result.frames, 20)
-    cube.animation_data_clear()
-    yield 0.2
+    result, counters = session().result, session().counters
+    longest = result.frame.history_length.max()
+    print(f"    {len(shown)} frames, {result.frames} rendered, history {longest:.0f}, restarts {restarts}, {counters}")
+    assert len(shown) == frames and len(restarts) == 1
+    assert longest >= min(result.frames, kept)
+    exports = counters.exports - before.exports
+    assert 0 < counters.instances - before.instances <= exports
+    assert replace(counters, exports=before.exports, instances=before.instances) == before
 
 
 def engine_switch(times: int) -> Iterator[float]:

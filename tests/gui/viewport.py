@@ -74,6 +74,12 @@ def script() -> Iterator[float]:
     scene.svgf.viewport_overlay = "result"
     yield from settled()
     yield from picture("camera")
+    exports = counters.exports
+    for kind, said in (("PANO", ["panoramic cameras are not supported"]), ("PERSP", [])):
+        scene.camera.data.type = kind
+        yield 1.0
+        assert [finding.text.partition(" yet;")[0] for finding in session().findings] == said
+    assert counters.exports == exports, "What is wrong with the camera is known without an export."
     with override():
         bpy.ops.view3d.view_axis(type="TOP")
         bpy.ops.view3d.view_selected(use_all_regions=False)
