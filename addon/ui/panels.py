@@ -122,12 +122,15 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
                 row = column.row()
                 row.active = item.name != "history_frames" or settings.denoise.history_seconds == 0
                 row.prop(settings.denoise, item.name)
-        if settings.method == "svgf+":
-            denoise = settings.to_settings().denoise
-            frames = denoise.longest_history
-            row = column.split(factor=0.4)  # as properties are
-            row.label()
-            row.label(text=f"{frames:.0f} frames, {frames / denoise.frame_rate:.2f} s in playback")
+                if item.name == "history_seconds":
+                    _draw_longest_history(column, settings.to_settings().denoise)
+
+
+def _draw_longest_history(column: bpy.types.UILayout, denoise: DenoiseSettings) -> None:
+    frames = denoise.longest_history
+    row = column.split(factor=0.4)  # as properties are
+    row.label()
+    row.label(text=f"{frames:.0f} frames, {frames / denoise.frame_rate:.2f} s in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):

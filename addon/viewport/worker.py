@@ -20,7 +20,7 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import OVERLAYS, Look, paint
+from .picture import OVERLAYS, Look, PictureMemory, paint
 
 _JOIN_SECONDS = 0.02
 _STATISTICS_SECONDS = 0.25  # between readings of images that only panels show
@@ -94,6 +94,7 @@ class Worker:
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
         self._thread = threading.Thread(target=self._run, name="svgf view", daemon=True)
         # Of the thread alone:
+        self._memory = PictureMemory()
         self._renderer: Renderer | None = None
         self._device_name = ""
         self._lost: set[str] = set()  # devices that failed
@@ -206,7 +207,7 @@ class Worker:
         if measuring:
             result = self._with_costs(request, result)
         start = time.perf_counter()
-        picture = paint(result.frame, request.look)
+        picture = paint(result.frame, request.look, self._memory)
         painting = (time.perf_counter() - start) * 1e3
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=picture, painting=painting, error=""))
