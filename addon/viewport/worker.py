@@ -102,6 +102,7 @@ class Worker:
         self._failed: Request | None = None  # not tried again
         self._counted = -math.inf  # when noise and history were last read, in seconds
         self._mean: np.ndarray | None = None  # [H, W, 3] colour of all frames since the view came to rest
+        self._alpha: np.ndarray | None = None  # [H, W] of the same frames
         self._squares: np.ndarray | None = None  # [H, W] their luminance's sum of squared distances from it
 
     def submit(self, request: Request) -> None:
@@ -229,6 +230,8 @@ class Worker:
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
+        if frame.alpha is not None:
+            frame = self._with_mean_alpha(frame, samples)
         milliseconds = (time.perf_counter() - start) * 1e3
         noise, history = last.noise, last.history
         if samples >= request.sample_limit or time.monotonic() >= self._counted + _STATISTICS_SECONDS:
@@ -294,6 +297,11 @@ class Worker:
             self._squares = self._squares + (difference @ _LUMINANCE) * ((color - self._mean) @ _LUMINANCE)
         variance = self._squares / max(samples * (samples - 1), 1)
         return frame.with_images(color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
+
+    def _with_mean_alpha(self, frame: Frame, samples: int) -> Frame:
+        """No denoiser looks at it, so what one frame says of a silhouette is ragged."""
+        self._alpha = frame.alpha if samples == 1 else self._alpha + (frame.alpha - self._alpha) / np.float32(samples)
+        return frame.with_images(alpha=self._alpha)
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""

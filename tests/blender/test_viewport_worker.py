@@ -277,6 +277,17 @@ def test_transparent_film_lets_the_background_through(worker, scene):
     assert (paint(frame, Look("depth"))[..., 3] == 1).all(), "Data has no background."
 
 
+def test_alpha_of_a_view_at_rest_is_the_mean_of_its_frames(worker, scene):
+    """Half of a pixel that a silhouette halves; a single frame knows all or nothing of it."""
+    scene = replace(scene, defaults=replace(scene.defaults, transparent_film=True))
+    for settings in (Settings(), Settings(method="none")):
+        alpha = ask(worker, scene, limit=64, settings=settings).frame.alpha
+        edge = (alpha > 0) & (alpha < 1)
+        assert np.allclose(alpha * 64, np.round(alpha * 64), atol=1e-3) and edge.sum() > 10
+    again = ask(worker, replace(scene, name="again"), limit=1).frame.alpha
+    assert set(np.unique(again)) <= {0.0, 1.0}, "The mean starts afresh where something changes."
+
+
 def test_diagnostics_are_made_only_while_they_are_shown(worker, scene):
     """By the denoiser itself, in one more frame where the view rests; its history goes on."""
     first = ask(worker, scene)
