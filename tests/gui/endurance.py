@@ -20,6 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
+import numpy as np
 from window import (
     ARGUMENTS,
     areas,
@@ -33,6 +34,7 @@ from window import (
     space,
     start_engine,
     svgf_blender,
+    until,
     views,
     window,
 )
@@ -40,6 +42,7 @@ from window import (
 # After window, which finds them.
 from svgf.settings import DenoiseSettings
 from svgf_blender.ui import statistics
+from svgf_blender.viewport.session import ViewSession
 
 ENDLESS = 10**6  # samples, so that there is always a frame in the making
 LARGEST_GROWTH = 1.05  # of the resident memory, in a step
@@ -68,8 +71,11 @@ def script() -> Iterator[float]:
         assert after < LARGEST_GROWTH * before, name
         assert blocks.longest("work") < LONGEST_BLOCK_SECONDS and blocks.longest("time") < LONGEST_WAIT_SECONDS, name
     window().scene.render.engine = "BLENDER_WORKBENCH"
-    yield 1.0
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
+    yield from until(lambda: not our_threads(), "Threads are left.")
+
+
+def our_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("svgf")]
 
 
 class Blocks:
@@ -116,7 +122,7 @@ class Blocks:
         return timed
 
 
-def running(seconds: float = 30) -> Iterator[float]:
+def running(seconds: float = 60) -> Iterator[float]:
     """Waits for the first picture."""
     end = time.monotonic() + seconds
     while not views.sessions_of(window().scene) or session().result.frame is None:
@@ -146,12 +152,16 @@ def resizes(times: int) -> Iterator[float]:
         else:
             yield from resize_window(width - smaller, height - smaller)
         sizes.add((window_region().width, window_region().height))
-    yield 0.5
-    frame, region = session().result.frame, window_region()
+    region = window_region()
+    expected = -(-region.width // 4), -(-region.height // 4)
+
+    def size() -> tuple[int, int]:
+        return session().result.frame.width, session().result.frame.height
+
+    yield from until(lambda: size() == expected, "The picture is not as large as its view.")
     print(f"    {len(sizes)} sizes, the last one {region.width}x{region.height}")
     assert session().counters == before and len(sizes) >= min(times, 3), sizes
     assert abs(areas("VIEW_3D")[0].width - edge) < 5, "Memory is compared at the same size."
-    assert (frame.width, frame.height) == (-(-region.width // 4), -(-region.height // 4))
 
 
 def resize_window(width: int, height: int) -> Iterator[float]:
@@ -180,8 +190,16 @@ def undo(times: int) -> Iterator[float]:
             yield 0.01
     yield 0.5
     expected = bpy.data.objects["Cube"].location.x
-    shown = session().result.scene.instances.object_to_world[0, 0, 3]
-    assert abs(shown - expected) < 1e-6, (shown, expected)
+    yield from until(lambda: abs(shown_place()[0] - expected) < 1e-6, "The view does not show what undo brought back.")
+
+
+def shown_place(each: ViewSession | None = None) -> np.ndarray:
+    """Of the only instance, in the newest picture of a view."""
+    return (each or session()).result.scene.instances.object_to_world[0, :, 3]
+
+
+def shown_meshes() -> set[str]:
+    return {mesh.name for mesh in session().result.scene.meshes}
 
 
 def delete(times: int) -> Iterator[float]:
@@ -191,11 +209,10 @@ def delete(times: int) -> Iterator[float]:
         yield 0.05
         bpy.data.objects.remove(bpy.context.object)
         yield 0.05
-    yield 0.3
-    assert len(session().result.scene.meshes) == 1 and not session().error
+    yield from until(lambda: shown_meshes() == {"Cube"}, "The spheres are still there.")
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    yield 0.5
-    assert not session().result.scene.meshes and not session().error
+    yield from until(lambda: not shown_meshes(), "The cube is still there.")
+    assert not session().error, session().error
     with override():
         bpy.ops.mesh.primitive_cube_add()
     bpy.context.object.name = "Cube"
@@ -230,53 +247,54 @@ def pixel_sizes(times: int) -> Iterator[float]:
 
 
 def two_views(times: int) -> Iterator[float]:
+    cube = bpy.data.objects["Cube"]
     for _ in range(times):
         with override():
             bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
-        yield 0.5
+        yield from until(lambda: len(areas("VIEW_3D")) == 2, "The view is not split.")
         for area in areas("VIEW_3D"):
             area.spaces.active.shading.type = "RENDERED"
-        yield 1.0
-        assert len(views.sessions_of(window().scene)) == 2
-        bpy.data.objects["Cube"].location.y += 1
-        yield 1.0
+        yield from rendered_views(2)
+        cube.location.y += 1
         for each in views.sessions_of(window().scene):
-            shown = each.result.scene.instances.object_to_world[0, 1, 3]
-            assert shown == bpy.data.objects["Cube"].location.y and not each.error
+            yield from until(lambda each=each: shown_place(each)[1] == cube.location.y, "A view does not follow.")
+            assert not each.error, each.error
         with bpy.context.temp_override(window=window(), area=areas("VIEW_3D")[1]):
             bpy.ops.screen.area_close()
-        yield 0.5
-        assert len(views.sessions_of(window().scene)) == 1
+        yield from rendered_views(1)
+
+
+def rendered_views(count: int) -> Iterator[float]:
+    """Waits until so many views, and no others, have a picture."""
+
+    def done() -> bool:
+        sessions = views.sessions_of(window().scene)
+        return len(sessions) == count and all(each.result.frame is not None for each in sessions)
+
+    yield from until(done, f"There are not {count} views.")
 
 
 def quad_view(times: int) -> Iterator[float]:
     for _ in range(times):
-        with override():
-            bpy.ops.screen.region_quadview()
-        yield 1.5
-        assert len(views.sessions_of(window().scene)) == 4
-        with override():
-            bpy.ops.screen.region_quadview()
-        yield 0.5
-        assert len(views.sessions_of(window().scene)) == 1
+        for count in (4, 1):
+            with override():
+                bpy.ops.screen.region_quadview()
+            yield from rendered_views(count)
 
 
 def local_view(times: int) -> Iterator[float]:
     for _ in range(times):
         with override():
             bpy.ops.mesh.primitive_uv_sphere_add(location=(2, 0, 0))
-        yield 0.3
-        assert len(session().result.scene.meshes) == 2
-        with override():
-            bpy.ops.view3d.localview()
-        yield 0.7
-        assert [mesh.name for mesh in session().result.scene.meshes] == [bpy.context.object.name]
-        with override():
-            bpy.ops.view3d.localview()
-        yield 0.7
-        assert len(session().result.scene.meshes) == 2
+        name = bpy.context.object.name
+        yield from until(lambda name=name: shown_meshes() == {"Cube", name}, "The sphere is not there.")
+        for expected in ({name}, {"Cube", name}):
+            with override():
+                bpy.ops.view3d.localview()
+            yield 0.5  # Blender moves the view there
+            yield from until(lambda expected=expected: shown_meshes() == expected, "Local view shows something else.")
         bpy.data.objects.remove(bpy.context.object)
-        yield 0.2
+        yield from until(lambda: shown_meshes() == {"Cube"}, "The sphere is still there.")
 
 
 def playback(frames: int) -> Iterator[float]:
@@ -310,7 +328,7 @@ def play_animation(frames: int, kept: int) -> Iterator[float]:
     before, restarts, shown = replace(session().counters), set(), set()
     with override():
         bpy.ops.screen.animation_play()
-    end = time.monotonic() + 90
+    end = time.monotonic() + 300
     while len(shown) < frames and time.monotonic() < end:
         yield 0.02
         shown.add(scene.frame_current)
@@ -362,7 +380,7 @@ def final_render(times: int) -> Iterator[float]:
 def disable(times: int) -> Iterator[float]:
     for _ in range(times):
         svgf_blender.unregister()
-        assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
+        assert not our_threads(), our_threads()
         space().shading.type = "SOLID"  # else Blender would draw with EEVEE, which takes its time and memory
         yield 0.1
         svgf_blender.register()
