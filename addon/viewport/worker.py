@@ -263,7 +263,7 @@ class Worker:
             opened = renderer.device if renderer is not None and self._device_name == device else None
             self._renderer = renderer = None  # its memory is free before the next one asks for some
             self._device_name = device
-            renderer = self._renderer = Renderer(settings, opened or self._open_device(device))
+            renderer = self._renderer = Renderer(settings, opened or self._open_device(device), interactive=True)
             if self.result.frame is not None:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer

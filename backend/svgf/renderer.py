@@ -163,11 +163,15 @@ def _same(a: Any, b: Any) -> bool:
 class Renderer:
     """Renders scenes one after the other; temporal history carries over from each frame to the next.
 
-    settings: what to render and how. device: a name for ``open_device``, or an opened Device.
+    settings: what to render and how. device: a name for ``open_device``, or an opened Device. interactive: for a view
+    that someone works in: while something changes, what stands still shows denoised frames alone.
     """
 
-    def __init__(self, settings: Settings | None = None, device: str | Device = "auto") -> None:
+    def __init__(
+        self, settings: Settings | None = None, device: str | Device = "auto", interactive: bool = False
+    ) -> None:
         self.settings = settings or Settings()
+        self._interactive = interactive
         self.device = open_device(device) if isinstance(device, str) else device
         self._tracer = self.device.tracer()
         self._uploader = SceneUploader(self.device, self._tracer)
@@ -300,6 +304,7 @@ class Renderer:
             reset=bool(reset),
             diagnostics=self.settings.diagnostics,
             unchanged=self._repeats > SETTLING_FRAMES,
+            interactive=self._interactive,
         )
 
     def _finish(
