@@ -152,16 +152,15 @@ def resizes(times: int) -> Iterator[float]:
         else:
             yield from resize_window(width - smaller, height - smaller)
         sizes.add((window_region().width, window_region().height))
-    region = window_region()
-    expected = -(-region.width // 4), -(-region.height // 4)
 
-    def size() -> tuple[int, int]:
-        return session().result.frame.width, session().result.frame.height
+    def is_back() -> bool:
+        region, frame = window_region(), session().result.frame
+        size = -(-region.width // 4), -(-region.height // 4)
+        return abs(areas("VIEW_3D")[0].width - edge) < 5 and (frame.width, frame.height) == size
 
-    yield from until(lambda: size() == expected, "The picture is not as large as its view.")
-    print(f"    {len(sizes)} sizes, the last one {region.width}x{region.height}")
+    yield from until(is_back, "View or picture are not as large as before.")  # for memory is compared
+    print(f"    {len(sizes)} sizes, the last one {window_region().width}x{window_region().height}")
     assert session().counters == before and len(sizes) >= min(times, 3), sizes
-    assert abs(areas("VIEW_3D")[0].width - edge) < 5, "Memory is compared at the same size."
 
 
 def resize_window(width: int, height: int) -> Iterator[float]:
