@@ -41,7 +41,14 @@ class SceneUploader:
         """flat: the frame to trace next. Raises OutOfMemory, DeviceError."""
         meshes = self._keep(self._meshes, flat.meshes, self._new_mesh)
         textures = self._keep(self._textures, flat.textures, self._new_texture)
-        if meshes is not None or self._changed(flat, INSTANCE_FIELDS):
+        new_materials = textures is not None or self._changed(flat, MATERIAL_FIELDS)
+        if new_materials:
+            self._tracer.set_materials(
+                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
+                [self._textures[id(texture)][1] for texture in flat.textures],
+            )
+        # What the trees may do with an instance depends on its materials.
+        if new_materials or meshes is not None or self._changed(flat, INSTANCE_FIELDS):
             self._tracer.set_instances(
                 [self._meshes[id(mesh)][1] for mesh in flat.meshes],
                 flat.instance_mesh,
@@ -51,11 +58,6 @@ class SceneUploader:
                 flat.material_table,
                 flat.visibility,
                 flat.emitter,
-            )
-        if textures is not None or self._changed(flat, MATERIAL_FIELDS):
-            self._tracer.set_materials(
-                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
-                [self._textures[id(texture)][1] for texture in flat.textures],
             )
         if self._changed(flat, LIGHT_FIELDS):
             self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})

@@ -23,9 +23,10 @@ namespace svgf {
 
 class MergedObjects {
 public:
-    // meshes, instances, placements: of a frame, as in SceneView.
+    // meshes, instances, placements: of a frame, as in SceneView. is_opaque: of each instance 1 where no light passes it
+    // straight: only such triangles may be cut, see scene/triangle_parts.h.
     void update(Device& device, std::span<const std::shared_ptr<Mesh>> meshes, std::span<const Instance> instances,
-                std::span<const Placement> placements);
+                std::span<const Placement> placements, std::span<const std::uint8_t> is_opaque);
 
     // Whether rays have anything to find in the tree, whose triangles name members.
     bool has_members() const { return has_members_; }
@@ -40,6 +41,7 @@ private:
         std::shared_ptr<Mesh> mesh;
         Mat34 object_to_world;
         std::int32_t instance;
+        bool is_opaque;
     };
     // By mesh: each has one only.
     using Objects = std::unordered_map<const Mesh*, Object>;

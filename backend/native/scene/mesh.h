@@ -36,8 +36,8 @@ public:
 
     // Throws InputError if the lengths do not fit together.
     Mesh(Device& device, const Arrays& arrays);
-    // A tree for rays alone.
-    Mesh(Device& device, std::span<const LeafTriangle> triangles);
+    // A tree for rays alone, in which triangles may be several times. may_be_cut: as in scene/triangle_parts.h.
+    Mesh(Device& device, std::span<const LeafTriangle> triangles, std::span<const std::uint8_t> may_be_cut);
 
     // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the
     // same slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is
