@@ -4,9 +4,10 @@
 // Sponza's 26 objects, all opaque, take an H200 1.10 instead of 1.28 ms, and one of them moves in 0.24 instead of 1.16
 // ms, as the tree over instances has little left in it.
 //
-// What moves, or changes, leaves the tree at once by a mark and is an instance like any other from then on: the tree is
-// built anew only when it holds less than what waits to enter it. Only rays visit it; a hit names the object's own
-// instance and triangle, and what is shaded is the object's own mesh.
+// Large triangles lie in it in parts. What moves, or lets light pass where it did not, leaves the tree at once by a mark
+// and is an instance like any other from then on: the tree is built anew only when it holds less than what waits to
+// enter it. Only rays visit it; a hit names the object's own instance and triangle, and what is shaded is the object's
+// own mesh.
 #pragma once
 
 #include <cstdint>
@@ -23,8 +24,8 @@ namespace svgf {
 
 class MergedObjects {
 public:
-    // meshes, instances, placements: of a frame, as in SceneView. is_opaque: of each instance 1 where no light passes it
-    // straight: only such triangles may be cut, see scene/triangle_parts.h.
+    // meshes, instances, placements: of a frame, as in SceneView. is_opaque: of each instance, 1 where no light passes it
+    // straight, else 0; only such an object's triangles may be cut (scene/triangle_parts.h).
     void update(Device& device, std::span<const std::shared_ptr<Mesh>> meshes, std::span<const Instance> instances,
                 std::span<const Placement> placements, std::span<const std::uint8_t> is_opaque);
 

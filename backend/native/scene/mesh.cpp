@@ -8,6 +8,7 @@
 #include "core/host_buffer.h"
 #include "device/threads.h"
 #include "scene/hittable.h"
+#include "scene/refit.h"
 #include "scene/triangle_parts.h"
 
 namespace svgf {
@@ -209,8 +210,7 @@ std::size_t Mesh::bytes() const {
         nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + tangents_.bytes() +
         previous_positions_.bytes();
     if (refit_)
-        bytes += refit_->vertices.bytes() + refit_->bounds.bytes() + refit_->cost.bytes() + refit_->levels.bytes() +
-                 refit_->left_out.bytes();
+        bytes += refit_->vertices.bytes() + refit_->extents.bytes() + refit_->levels.bytes() + refit_->left_out.bytes();
     return bytes;
 }
 

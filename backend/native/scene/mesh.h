@@ -13,6 +13,8 @@
 
 namespace svgf {
 
+struct NodeExtent;  // scene/refit.h
+
 // The geometry of one mesh on the device, with its tree.
 //
 // What lies far from its own origin is moved towards it by `centre`, so that it keeps its digits in every product; an
@@ -60,8 +62,7 @@ private:
               std::span<const std::int32_t> left_out, Mesh& mesh);
 
         Buffer<std::int32_t> vertices;  // [T, 3]
-        Buffer<Bounds> bounds;          // of each node
-        Buffer<float> cost;
+        Buffer<NodeExtent> extents;     // of each node
         Buffer<std::int32_t> left_out;  // triangles that cannot be hit
         Buffer<std::uint32_t> levels;   // nodes, level by level
         std::vector<int> level_starts;
