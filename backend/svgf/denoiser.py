@@ -140,8 +140,8 @@ class Denoiser:
         - one or two signals of linear radiance: "diffuse" and "specular", or "direct" and "indirect", or "color".
         - "diffuse_albedo", "specular_albedo", for "color" "albedo" (optional): [0, 1]; signals are divided by theirs,
           direct and indirect by the sum. "emission" (optional): radiance that is not filtered.
-        - "roughness" (svgf+, optional) [H, W]: of the specular signal, [0, 1]; rough reflections are filtered as diffuse
-          light is, without it all are taken for sharp.
+        - "roughness" (svgf+, optional) [H, W]: of the specular signal, [0, 1]; rough reflections are filtered as
+          diffuse light is, without it all are taken for sharp.
         - "normal": unit, world space. "depth" [H, W]: along the camera's axis, 1e10 on the background.
         - "motion" (needed by svgf): [H, W, 2] previous pixel position minus this one, x right, y down; a third channel,
           expected previous depth minus this depth, lets history survive a camera that moves forward.

@@ -88,7 +88,9 @@ class SceneUploader:
         last = self.last
         return last is None or not all(_same(getattr(flat, name), getattr(last, name)) for name in names)
 
-    def _keep(self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]) -> Any:
+    def _keep(
+        self, cache: dict[int, tuple[Any, Any]], wanted: tuple[Any, ...], make: Callable[[Any, list], Any]
+    ) -> Any:
         """Brings the cache to exactly `wanted`. make(source, what is no longer wanted) makes what is new. Returns
         None if the cache held just that already."""
         keys = {id(source) for source in wanted}

@@ -91,7 +91,7 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
-        0.45, 1e-3, 1e6,
+        0.3, 1e-3, 1e6,
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
         unit="standard deviations",
     )  # fmt: skip

@@ -282,20 +282,25 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four pixels.
+    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
+        if (px == float(left) && py == float(top)) {
+            const Vec4 own = hist_color[guides.pixel(left, top)];
+            return {own.xyz(), box.map(with_brightness(own.xyz())), fast_sqrt(own.w)};
+        }
         const Cubic columns(px - float(left)), rows(py - float(top));
         History history;
         Vec3 least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
         float total = 0.0f;
+        // Without a branch the reads of several taps are under way together.
         SVGF_UNROLL
         for (int j = 0; j < 4; ++j)
             SVGF_UNROLL
             for (int i = 0; i < 4; ++i) {
                 const bool is_beside = i == 0 || i == 3, is_above = j == 0 || j == 3;
+                if (is_beside && is_above) continue;
                 const float share = columns.weight[i] * rows.weight[j];
-                if ((is_beside && is_above) || share == 0.0f) continue;
                 const Vec4 tap = hist_color[guides.nearest_pixel(left + i - 1, top + j - 1)];
                 const Vec3 mapped = box.map(with_brightness(tap.xyz()));
                 total += share;
@@ -303,7 +308,6 @@ private:
                 if (is_beside || is_above) continue;
                 least = min(least, mapped);
                 most = max(most, mapped);
-                history.color = tap.xyz();
                 history.frames += columns.linear[i - 1] * rows.linear[j - 1] * fast_sqrt(tap.w);
             }
         history.mapped = min(max(history.mapped * fast_reciprocal(total), least), most);

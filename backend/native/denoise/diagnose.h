@@ -75,7 +75,8 @@ private:
                                                                        : ResetReason::other_normal;
         }
         bool found = false;
-        reprojection.visit(point, reprojection.weigh(point), [&](int, float) { found = true; });
+        reprojection.visit(point, reprojection.weigh(point),
+                           [&](int, float weight) { found = found || weight > 0.0f; });
         if (!found) return refusal;
         return has_changed(pixel) ? ResetReason::light_changed : ResetReason::kept;
     }

@@ -58,8 +58,8 @@ SVGF_HD inline Vec3 load3(const float* image, int pixel) {
     return {image[3 * pixel], image[3 * pixel + 1], image[3 * pixel + 2]};
 }
 
-// How sharp reflections are: 1 show edges, as a mirror's do, 0 are as smooth as diffuse light. Between these roughnesses
-// it falls, in thirds.
+// How sharp reflections are: 1 show edges, as a mirror's do, 0 are as smooth as diffuse light. Between these
+// roughnesses it falls, in thirds.
 constexpr float mirror_roughness = 0.1f, matte_roughness = 0.4f;
 
 SVGF_HD inline float gloss_of(float roughness) {

@@ -79,22 +79,23 @@ struct Reprojection {
         for (int k = 0; k < 4; ++k) {
             const int i = k % 2, j = k / 2;
             const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
-            if (share > 0.0f && accepts(left + i, top + j, point)) taps.weight[k] = share;
+            taps.weight[k] = accepts(left + i, top + j, point) ? share : 0.0f;
             total += taps.weight[k];
         }
         taps.are_enough = total >= least_tap_weight;
         return taps;
     }
 
-    // take(pixel, weight) for every tap that saw the surface; where they are not enough, take(pixel, 1) for those of
-    // the 3x3 pixels around the nearest one.
+    // take(pixel, weight) for every tap that saw the surface, and perhaps with weight 0 for others; where they are not
+    // enough, take(pixel, 1) for those of the 3x3 pixels around the nearest one that did.
     template <class Take>
     SVGF_HD void visit(const Point& point, const Taps& taps, const Take& take) const {
         if (taps.are_enough) {
-            const int corner = prev_guides.pixel(int(std::floor(point.x)), int(std::floor(point.y)));
+            const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
             SVGF_UNROLL
-            for (int k = 0; k < 4; ++k)
-                if (taps.weight[k] > 0.0f) take(corner + k / 2 * prev_guides.width + k % 2, taps.weight[k]);
+            for (int k = 0; k < 4; ++k)  // where any bits are a number, a weight of 0 is cheaper than a branch
+                if (!Storage::holds_any_bits || taps.weight[k] > 0.0f)
+                    take(prev_guides.nearest_pixel(left + k % 2, top + k / 2), taps.weight[k]);
             return;
         }
         const int x = int(std::floor(point.x + 0.5f)), y = int(std::floor(point.y + 0.5f));
@@ -111,10 +112,10 @@ struct Reprojection {
         float cosine;       // between the normals
         float depth_error;  // of the surface's plane, continued to the pixel
     };
-    // (x, y) lies inside the frame.
+    // Outside of the frame it is with the nearest pixel inside.
     SVGF_HD Comparison compare(int x, int y, const Point& point) const {
         int32_t object_id;
-        const Vec4 tap = prev_guides.read(prev_guides.pixel(x, y), object_id);
+        const Vec4 tap = prev_guides.read(prev_guides.nearest_pixel(x, y), object_id);
         const float plane =
             point.expected_depth + point.slope.x * (float(x) - point.x) + point.slope.y * (float(y) - point.y);
         return {object_id == point.object_id, dot(tap.xyz(), point.normal), tap.w - plane};
@@ -125,9 +126,10 @@ private:
     SVGF_HD static bool is_between(float position, int size) { return position > -1.0f && position < float(size); }
 
     SVGF_HD bool accepts(int x, int y, const Point& point) const {
-        if (!prev_guides.contains(x, y)) return false;
+        // Without a branch the reads of several taps are under way together.
         const Comparison tap = compare(x, y, point);
-        return tap.same_object && tap.cosine >= normal_tolerance && std::fabs(tap.depth_error) <= point.tolerance;
+        return bool(int(prev_guides.contains(x, y)) & int(tap.same_object) & int(tap.cosine >= normal_tolerance) &
+                    int(std::fabs(tap.depth_error) <= point.tolerance));
     }
 };
 

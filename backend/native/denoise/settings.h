@@ -32,14 +32,14 @@ namespace svgf {
     SETTING(history_frames, float, 20.0, 1.0, 4096.0, "frames", "",                                                    \
             "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
     SETTING(history_seconds, float, 0.0, 0.0, 3600.0, "s", "",                                                         \
-            "svgf+: the same in seconds, so that lag is the same at any frame_rate. 0: history_frames counts.")     \
+            "svgf+: the same in seconds, so that lag is the same at any frame_rate. 0: history_frames counts.")        \
     SETTING(frame_rate, float, 24.0, 0.01, 1e5, "frames/s", "",                                                        \
             "svgf+: frames in a second of the sequence, or of a view as it is drawn, for history_seconds.")            \
     SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
-    SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                   \
+    SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                  \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
-    SETTING(change_threshold, float, 0.45, 1e-3, 1e6, "standard deviations", "",                                       \
+    SETTING(change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                                        \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
     SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \

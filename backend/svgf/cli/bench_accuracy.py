@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -34,46 +36,23 @@ def accuracy(
     as_json: JsonOption = False,
 ) -> None:
     """What accuracy costs in time: relMSE, FLIP and flicker against milliseconds, for each method and sample count."""
-    from ..bench.accuracy import VARIANTS, Accuracy, converge, measure, plot
-    from ..devices import open_device
-    from ..settings import Settings
-    from .progress import progress_bar, render_frame
+    from ..bench.accuracy import VARIANTS, measure, plot
 
-    paths = scene_paths(files)
-    image_size = parse_size(size)
-    settings = Settings(*image_size)
-    opened = open_device(device)
     variants = [variant for variant in VARIANTS if not quick or variant[1] == 1]
-    rows: list[Accuracy] = []
-    for path in paths:
-        scenes, measured = read_animation(path, frames, first, image_size)
-        with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
-            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
-        with progress_bar(f"{path.stem}: variants", len(scenes) * len(variants)) as bar:
-            rows += measure(opened, settings, path.stem, scenes, references, variants, render_frame, bar.step)
-    publish(
-        f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp",
-        rows,
-        table(
-            ("scene", "method", "spp", "ms", "relMSE", "FLIP", "SSIM", "flicker"),
-            [
-                (
-                    row.scene,
-                    row.method,
-                    str(row.samples),
-                    f"{row.milliseconds:.3f}",
-                    *(f"{value:.4f}" for value in (row.relmse, row.flip, row.ssim, row.flicker)),
-                )
-                for row in rows
-            ],
-            names=2,
-            section=lambda line: line[0],
-        ),
-        csv_file=csv_file,
-        plot_file=plot_file,
-        plot=plot,
-        as_json=as_json,
-    )
+    title, rows = _measure_scenes(
+        files, size, device, frames, first, reference_spp, len(variants),
+        lambda opened, *scene, **progress: measure(opened, *scene, variants, **progress),
+    )  # fmt: skip
+    lines = [
+        (
+            row.scene, row.method, str(row.samples), f"{row.milliseconds:.3f}",
+            *_four_digits(row.relmse, row.flip, row.ssim, row.flicker),
+        )
+        for row in rows
+    ]  # fmt: skip
+    headings = ("scene", "method", "spp", "ms", "relMSE", "FLIP", "SSIM", "flicker")
+    figures = table(headings, lines, names=2, section=lambda line: line[0])
+    publish(title, rows, figures, csv_file=csv_file, plot_file=plot_file, plot=plot, as_json=as_json)
 
 
 def ablation(
@@ -89,45 +68,58 @@ def ablation(
     as_json: JsonOption = False,
 ) -> None:
     """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
-    from ..bench.ablation import STEPS, Ablation, measure, plot, rows_of
-    from ..bench.accuracy import converge
-    from ..devices import open_device
-    from ..settings import Settings, check_name
-    from .progress import progress_bar, render_frame
+    from ..bench.ablation import STEPS, WHOLE, measure, plot, rows_of
+    from ..settings import check_name
 
-    paths = scene_paths(files)
-    image_size = parse_size(size)
     chosen = methods or list(STEPS)
     for method in chosen:
         check_name("The method", method, tuple(STEPS))
+    title, rows = _measure_scenes(
+        files, size, device, frames, first, reference_spp, len(rows_of(chosen)),
+        lambda opened, *scene, **progress: measure(opened, *scene, chosen, **progress),
+    )  # fmt: skip
+    lines = [
+        (
+            row.scene, row.method, row.off if row.off != WHOLE else "-",
+            *_four_digits(row.relmse, row.flip, row.flicker, row.milliseconds),
+        )
+        for row in rows
+    ]  # fmt: skip
+    headings = ("scene", "method", "without", "relMSE", "FLIP", "flicker", "ms")
+    figures = table(headings, lines, names=3, section=lambda line: line[:2])
+    publish(title, rows, figures, csv_file=csv_file, plot_file=plot_file, plot=plot, as_json=as_json)
+
+
+def _measure_scenes(
+    files: list[Path] | None,
+    size: str,
+    device_name: str,
+    frames: str,
+    first: int,
+    reference_spp: int,
+    runs: int,
+    measure: Callable[..., Sequence[Any]],
+) -> tuple[str, list[Any]]:
+    """A title, and the rows of all scenes, each of which measure(device, settings, name, scenes, references, render=,
+    step=) denoises so many times."""
+    from ..bench.accuracy import converge
+    from ..devices import open_device
+    from ..settings import Settings
+    from .progress import progress_bar, render_frame
+
+    paths, image_size = scene_paths(files), parse_size(size)
     settings = Settings(*image_size)
-    opened = open_device(device)
-    rows: list[Ablation] = []
+    device = open_device(device_name)
+    rows: list[Any] = []
     for path in paths:
         scenes, measured = read_animation(path, frames, first, image_size)
         with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
-            references = converge(opened, settings, measured, reference_spp, render_frame, bar.step)
-        with progress_bar(f"{path.stem}: steps", len(scenes) * len(rows_of(chosen))) as bar:
-            rows += measure(opened, settings, path.stem, scenes, references, chosen, render_frame, bar.step)
-    publish(
-        f"{opened.description} ({opened.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp",
-        rows,
-        table(
-            ("scene", "method", "without", "relMSE", "FLIP", "flicker", "ms"),
-            [
-                (
-                    row.scene,
-                    row.method,
-                    row.off if row.off != "whole" else "-",
-                    *(f"{value:.4f}" for value in (row.relmse, row.flip, row.flicker, row.milliseconds)),
-                )
-                for row in rows
-            ],
-            names=3,
-            section=lambda line: line[:2],
-        ),
-        csv_file=csv_file,
-        plot_file=plot_file,
-        plot=plot,
-        as_json=as_json,
-    )
+            references = converge(device, settings, measured, reference_spp, render_frame, bar.step)
+        with progress_bar(f"{path.stem}: denoised", len(scenes) * runs) as bar:
+            rows += measure(device, settings, path.stem, scenes, references, render=render_frame, step=bar.step)
+    title = f"{device.description} ({device.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
+    return title, rows
+
+
+def _four_digits(*values: float) -> list[str]:
+    return [f"{value:.4f}" for value in values]

@@ -136,6 +136,7 @@ def _catmull_rom(map_: Any, history: Resolved, x: Any, y: Any) -> tuple[Any, Any
         ]
 
     columns, rows = cubic(x - left), cubic(y - top)
+    between = (x != left) | (y != top)
     total, color, frames = xp.zeros(x.shape), xp.zeros((*x.shape, 3)), xp.zeros(x.shape)
     least, most = xp.full(color.shape, xp.inf), xp.full(color.shape, -xp.inf)
     for j in range(4):
@@ -147,7 +148,7 @@ def _catmull_rom(map_: Any, history: Resolved, x: Any, y: Any) -> tuple[Any, Any
             share, mapped = columns[i] * rows[j], map_(history.color[at])
             total, color = total + share, color + share[..., None] * mapped
             if is_inner:
-                counts = (share != 0.0)[..., None]
+                counts = (between | (share != 0.0))[..., None]
                 least = xp.where(counts, xp.minimum(least, mapped), least)
                 most = xp.where(counts, xp.maximum(most, mapped), most)
                 near = (x - left if i == 2 else 1.0 - (x - left)) * (y - top if j == 2 else 1.0 - (y - top))

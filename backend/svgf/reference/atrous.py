@@ -16,13 +16,13 @@ GAUSSIAN = (1.0 / 2.0, 1.0 / 4.0)
 LUMINANCE_EPSILON = 1e-10
 
 
-def prefilter(variance: Any, guides: Guides, spacing: int = 1) -> Any:
-    """g_3x3(Var) [Schied17, Eq. 5], over the surfaces inside the frame. spacing: of its taps, pixels."""
+def prefilter(variance: Any, guides: Guides) -> Any:
+    """g_3x3(Var) [Schied17, Eq. 5], over the surfaces inside the frame."""
     xp = namespace(variance)
     total, weight = xp.zeros(variance.shape), xp.zeros(variance.shape)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
-            inside, value, surface = tap(dx * spacing, dy * spacing, variance, guides.surface)
+            inside, value, surface = tap(dx, dy, variance, guides.surface)
             w = xp.where(inside & surface, GAUSSIAN[abs(dx)] * GAUSSIAN[abs(dy)], 0.0)
             total, weight = total + w * value, weight + w
     return total / xp.where(weight > 0.0, weight, 1.0)
@@ -75,15 +75,13 @@ def atrous_plus(
     color: list[Any], variance: list[Any], gloss: list[Any], guides: Guides, level: int, settings: Any
 ) -> tuple[list[Any], list[Any]]:
     """As ``atrous``, for svgf+ (native/denoise/method.h): 3x3 taps; exp(sigma_n (cosine - 1)) for Eq. 4; a Gaussian
-    of the luminance difference for Eq. 5, over the larger of the centre's variance and the tap's. gloss: per signal,
-    None for diffuse light, whose variance is prefiltered at every level, not at the first alone; else [H, W] or a
-    number, by which the tap's variance counts for less."""
+    of the luminance difference for Eq. 5, over the larger of the centre's variance, prefiltered at the first level, and
+    the tap's. gloss: per signal, None for diffuse light; else [H, W] or a number, by which a tap's variance counts for
+    less."""
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
-    filtered = [
-        v if g is not None and level > 0 else prefilter(v, guides, 2**level)
-        for v, g in zip(variance, gloss, strict=True)
-    ]
+    filtered = [prefilter(v, guides) if level == 0 else v for v in variance]
+    blunt = [xp.broadcast_to(1.0 - (0.0 if g is None else g), guides.depth.shape) for g in gloss]
     weight = [xp.zeros(light[0].shape) for _ in color]
     color_sum = [xp.zeros(c.shape) for c in color]
     variance_sum = [xp.zeros(v.shape) for v in variance]
@@ -97,12 +95,14 @@ def atrous_plus(
                 w_geometry = w_geometry * xp.exp(settings.plus_sigma_normal * (cosine - 1.0))
             w_geometry = w_geometry * BINOMIAL[abs(i)] * BINOMIAL[abs(j)]
             for s in range(len(color)):
-                _, tap_color, tap_variance, tap_light = tap(dx, dy, color[s], variance[s], light[s])
+                _, tap_color, tap_variance, tap_light, tap_blunt = tap(
+                    dx, dy, color[s], variance[s], light[s], blunt[s]
+                )
                 own, tapped = (
                     settings.plus_sigma_luminance**2 * v + LUMINANCE_EPSILON**2 / math.log(2.0)
                     for v in (filtered[s], tap_variance)
                 )
-                larger = xp.maximum(own, tapped * (1.0 - (0.0 if gloss[s] is None else gloss[s])))
+                larger = xp.maximum(own, tapped * tap_blunt)
                 w = w_geometry * xp.exp(-((light[s] - tap_light) ** 2) / larger)
                 weight[s] = weight[s] + w
                 color_sum[s] = color_sum[s] + w[..., None] * tap_color

@@ -134,7 +134,7 @@ def temporal_plus(
         n = xp.where(moves, xp.minimum(n, settings.longest_history), n)
         variance = old_variance[s] + (spread - old_variance[s]) / n
         deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
-        residual = (luminance(sample) - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
+        residual = (mean_light - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
         residual = xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL)
         drift = drifts[s] + (residual - drifts[s]) * DRIFT_RATE
         # History that is too far from the samples is drawn to them, and counts as shorter.
