@@ -11,7 +11,7 @@ from . import installation
 # Properties come first, because the others refer to them.
 _MODULES = (
     *("ui.properties", "session", "viewport.views", "engine"),
-    *("ui.panels", "ui.passes", "ui.devices", "ui.culprits", "ui.statistics"),
+    *("ui.panels", "ui.visibility", "ui.passes", "ui.devices", "ui.culprits", "ui.statistics"),
 )
 
 _unregister: list[Callable[[], None]] = []  # of what is registered

@@ -71,15 +71,22 @@ class SVGFRenderEngine(bpy.types.RenderEngine):
         session = find_session(depsgraph.scene, depsgraph.view_layer)
         self.update_stats("", "Exporting the scene")
         scene = export_frame(self, depsgraph, session.exporter)
-        for warning in (*scene.warnings, *unsupported_passes(depsgraph.view_layer)):
+        self._warn(session, *scene.warnings, *unsupported_passes(depsgraph.view_layer))
+        properties = depsgraph.scene.svgf
+        self.update_stats("", "Rendering")
+        settings = properties.to_settings(depsgraph.view_layer.samples or None)
+        future = session.start(scene, settings, properties.device)
+        frame = self._wait(session, future, settings.samples)
+        if session.note:
+            self._warn(session, session.note)
+        return frame
+
+    def _warn(self, session: Session, *warnings: str) -> None:
+        """Of each thing once in a job."""
+        for warning in warnings:
             if warning not in session.reported:
                 session.reported.add(warning)
                 self.report({"WARNING"}, warning)
-        properties = depsgraph.scene.svgf
-        self.update_stats("", "Rendering")
-        settings = properties.to_settings()
-        future = session.start(scene, settings, properties.device)
-        return self._wait(session, future, settings.samples)
 
     def _wait(self, session: Session, future: Future[Frame], samples: int) -> Frame:
         """The finished frame. Raises Interrupted soon after the user pressed Esc, even if the thread takes longer."""

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import bpy
 from svgf.devices import Device, open_device
-from svgf.errors import Interrupted
+from svgf.errors import DeviceError, Interrupted
 from svgf.frame import Frame
 from svgf.renderer import Renderer
 from svgf.scene import Scene
@@ -29,15 +29,18 @@ _devices: dict[str, Device] = {}
 class Session:
     """The exporter and the renderer of a view layer. All calls of the renderer come from one thread of its own.
 
-    progress: finished share of the frame that is being rendered. reported: warnings that this job has shown.
+    progress: finished share of the frame that is being rendered. reported: warnings that this job has shown. note: why
+    another device goes on than the one that was asked for, or an empty string.
     """
 
     def __init__(self) -> None:
         self.exporter = Exporter()
         self.progress = 0.0
         self.reported: set[str] = set()
+        self.note = ""
         self._renderer: Renderer | None = None
         self._device_name = ""
+        self._lost: set[str] = set()  # devices that failed
         self._stopping = False
         self._future: Future[Frame] | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="svgf")
@@ -80,15 +83,27 @@ class Session:
 
     def _render(self, scene: Scene, settings: Settings, device: str) -> Frame:
         try:
-            renderer = self._renderer
-            if renderer is None or renderer.settings != settings or self._device_name != device:
-                self._renderer = None  # its memory is free before the next one asks for some
-                self._device_name = device
-                renderer = self._renderer = Renderer(settings, _device(device))
-            return renderer.render(scene, self._set_progress)
+            return self._render_on("cpu" if device in self._lost else device, scene, settings)
+        except DeviceError as error:
+            name = self._renderer.device.name if self._renderer is not None else self._device_name
+            self._renderer = None
+            _devices.pop(self._device_name, None)
+            if name == "cpu":
+                raise
+            self._lost.add(device)
+            self.note = f"{error} The CPU goes on."
+            return self._render_on("cpu", scene, settings)
         finally:
             if self._stopping:
                 self._renderer = None
+
+    def _render_on(self, device: str, scene: Scene, settings: Settings) -> Frame:
+        renderer = self._renderer
+        if renderer is None or renderer.settings != settings or self._device_name != device:
+            self._renderer = None  # its memory is free before the next one asks for some
+            self._device_name = device
+            renderer = self._renderer = Renderer(settings, _device(device))
+        return renderer.render(scene, self._set_progress)
 
     def _set_progress(self, share: float) -> None:
         self.progress = share

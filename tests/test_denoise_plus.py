@@ -275,14 +275,35 @@ def test_noise_of_a_view_at_rest_stays_small(device):
     assert color.mean() == pytest.approx(0.5, rel=0.05)
 
 
-def test_a_view_at_rest_agrees_with_the_reference(device):
+def test_what_stands_still_while_someone_works_shows_less_noise(device):
+    """Denoised frames alone, however long an object is dragged beside it: noisy ones would show their bright samples."""
+    if device.name == "reference":
+        pytest.skip("hundreds of frames in numpy take a while")
+    worst = {True: 0.0, False: 0.0}
+    for seed in range(32, 36):
+        for interactive in worst:
+            rng, denoiser, deviations = np.random.default_rng(seed), native_denoiser(device), []
+            for _ in range(200):
+                frame = rare_bright_frame(rng)
+                result = denoiser.denoise(frame, reset=False, diagnostics=False, interactive=interactive)
+                color = device.to_numpy(result["color"])[..., 0]
+                deviations.append((color - ndimage.gaussian_filter(color, 2.0)).std() / color.mean())
+            worst[interactive] = max(worst[interactive], *deviations[24:])
+            assert color.mean() == pytest.approx(0.5, rel=0.05)
+    assert worst[True] < 0.5 * worst[False]
+
+
+@pytest.mark.parametrize("interactive", [False, True])
+def test_a_still_view_agrees_with_the_reference(device, interactive):
+    """At rest, and while someone works in it."""
     if device.name == "reference":
         pytest.skip("against itself")
     rng = np.random.default_rng(31)
     native, reference = native_denoiser(device), ReferenceDenoiser(None, 40, 24, "svgf+", {})
     for count in range(1, 33):
         frame = rare_bright_frame(rng)
-        actual, expected = (each.denoise(frame, reset=False, unchanged=count > 16) for each in (native, reference))
+        mode = {"interactive": True} if interactive else {"unchanged": count > 16}
+        actual, expected = (each.denoise(frame, reset=False, **mode) for each in (native, reference))
     error = np.abs(device.to_numpy(actual["color"]) - expected["color"]).max(axis=-1) / expected["color"].max(axis=-1)
     assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
 

@@ -2,13 +2,14 @@
 """Objects that stand still share a tree: whatever moves, changes, comes or goes, rays find what brute force finds."""
 
 import dataclasses
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 
 from svgf.flatten import flatten
 from svgf.renderer import SceneUploader
-from svgf.scene import RayVisibility
+from svgf.scene import LightKind, RayVisibility
 
 from . import scenes
 from .test_cast import brute_force, cast
@@ -94,3 +95,36 @@ def test_one_is_hidden_from_a_kind_of_rays(device, uploader):
     flat = flatten(dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, visibility=visibility)))
     uploader.upload(flat)
     check(device, uploader._tracer, flat)
+
+
+def picture(device, shown) -> dict[str, np.ndarray]:
+    """Of the last of some scenes that are shown one after the other."""
+    tracer = device.tracer()
+    uploader = SceneUploader(device, tracer)
+    for scene in shown:
+        flat = flatten(scene)
+        uploader.upload(flat)
+    images = tracer.trace(
+        width=64,
+        height=36,
+        sample=0,
+        samples=4,
+        seed=1,
+        bounces=1,
+        pixel_filter="center",
+        signals="diffuse_specular",
+        effects=int(flat.effects),
+        light_paths=astuple(scene.defaults.light_paths),
+    )
+    return {name: device.to_numpy(image) for name, image in images.items()}
+
+
+def test_what_becomes_sheer_is_passed_once(device):
+    """Parts of a triangle are as many surfaces on the way of a ray, which only what stops it may be."""
+    objects = [(HEAPS[i], placed(i), [scenes.WHITE]) for i in range(3)]
+    solid = scenes.build(objects, scenes.camera((0, -8, 0), (0, 0, 0)), [scenes.lamp(LightKind.SUN)])
+    sheer = dataclasses.replace(solid, materials=tuple(dataclasses.replace(m, alpha=0.4) for m in solid.materials))
+    known, afterwards, opaque = (picture(device, shown) for shown in ([sheer], [solid, sheer], [solid]))
+    assert np.abs(known["diffuse"] - opaque["diffuse"]).max() > 0.1
+    for name in known:
+        np.testing.assert_allclose(afterwards[name], known[name], rtol=1e-5, atol=1e-6, err_msg=name)

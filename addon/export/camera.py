@@ -10,6 +10,7 @@ from svgf.scene import Aperture, Camera, Projection
 
 from .findings import Findings
 from .transforms import rigid
+from .unsupported import find_in_camera
 
 _SMALLEST_DISTANCE = 1e-5  # of the focus, in metres
 
@@ -53,13 +54,9 @@ def export_camera(
     """camera: evaluated object. size: (width, height) of the image. Raises InputError where there is no camera."""
     check_camera(camera, scene)
     data, render = camera.data, scene.render
-    _find_unsupported(data, findings)
+    find_in_camera(camera, findings)
     # float32 values as Python floats: the same arithmetic on every platform from here on.
     matrix = np.array(camera.matrix_world, np.float64)
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        findings.add(
-            camera, "a mirrored camera (negative scale) is not supported yet; it is used without the mirroring."
-        )
     return Camera(
         camera_to_world=rigid(matrix),
         window=window(data, *size, (render.pixel_aspect_x, render.pixel_aspect_y)),
@@ -96,9 +93,3 @@ def _focus_distance(camera: bpy.types.Object) -> float:
         matrix = matrix @ bone.matrix
     axis = rigid(np.array(camera.matrix_world, np.float64))[:, 2]
     return float(abs(axis @ (np.array(matrix.translation) - np.array(camera.matrix_world.translation))))
-
-
-def _find_unsupported(camera: bpy.types.Camera, findings: Findings) -> None:
-    if camera.type not in {"PERSP", "ORTHO"}:
-        name = camera.bl_rna.properties["type"].enum_items[camera.type].name.lower()
-        findings.add(camera, f"{name} cameras are not supported yet; a perspective one is used instead.")

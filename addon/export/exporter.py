@@ -21,6 +21,7 @@ from .materials import MaterialCache, MaterialTable
 from .meshes import MeshCache
 from .tangents import TangentCache, add_tangents
 from .textures import TextureCache
+from .unsupported import find_in_scene
 from .uv_maps import find_uv_layers
 from .world import export_world
 
@@ -190,7 +191,7 @@ class Exporter:
     ) -> _Snapshot:
         """waits: for what others compute."""
         last, scene, view_layer = self._last, depsgraph.scene_eval, depsgraph.view_layer_eval
-        _find_unsupported(scene, view_layer, findings)
+        find_in_scene(scene, view_layer, findings)
         layers = find_uv_layers(bpy.data.materials, bpy.data.meshes)
         materials = MaterialTable(self._textures, self._materials, findings, layers)
         self._meshes.start_frame(self.should_stop, changed, layers.names)
@@ -343,17 +344,6 @@ def _light_paths(cycles: bpy.types.PropertyGroup) -> LightPaths:
         clamp_indirect=cycles.sample_clamp_indirect,
         filter_glossy=cycles.blur_glossy,
     )
-
-
-def _find_unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, findings: Findings) -> None:
-    render = scene.render
-    off = [name for switch, name in (("use_sky", "sky"), ("use_solid", "surfaces")) if not getattr(view_layer, switch)]
-    if off:
-        findings.add(scene, f"view layers without {', '.join(off)} are not supported yet; they are there.")
-    if render.use_motion_blur:
-        findings.add(scene, "motion blur is not supported yet; frames are sharp.")
-    if render.use_freestyle:
-        findings.add(scene, "Freestyle is not supported; no lines are drawn.")
 
 
 def _keep(new: _T, old: _T | None) -> _T:

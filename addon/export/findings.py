@@ -47,13 +47,6 @@ class Findings:
         return tuple(finding.sentence for finding in self.found())
 
 
-def find_light_linking(obj: bpy.types.Object, findings: Findings) -> None:
-    """Of meshes as well as of lamps."""
-    linking = obj.light_linking
-    if linking.receiver_collection is not None or linking.blocker_collection is not None:
-        findings.add(obj, "light linking is not supported yet; lamps shine on everything.")
-
-
 def _enumerate(names: tuple[str, ...]) -> str:
     shown = ", ".join(f'"{name}"' for name in names[:_NAMES_SHOWN])
     return shown if len(names) <= _NAMES_SHOWN else f"{shown} and {len(names) - _NAMES_SHOWN} more"

@@ -11,10 +11,11 @@ import bpy
 import numpy as np
 from svgf.scene import Light, Mesh, RayVisibility
 
-from .findings import Findings, find_light_linking
+from .findings import Findings
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import MeshCache
+from .unsupported import find_in_object
 from .uv_maps import UvUse
 from .visibility import ray_visibility
 
@@ -221,7 +222,7 @@ class _Collector:
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""
-        _find_unsupported(owner, self._findings)
+        find_in_object(owner, self._findings)
         pointer = data.as_pointer()
         if pointer not in self._meshes:
             mesh = self._mesh_cache.get(owner, self._findings)
@@ -256,12 +257,3 @@ def _slots(owner: bpy.types.Object, data: bpy.types.Mesh) -> list[bpy.types.Mate
         if slot.link == "OBJECT":
             materials[index] = slot.material
     return materials
-
-
-def _find_unsupported(owner: bpy.types.Object, findings: Findings) -> None:
-    if owner.is_shadow_catcher:
-        findings.add(owner, "shadow catchers are not supported yet; the object is an ordinary one.")
-    find_light_linking(owner, findings)
-    for system in owner.particle_systems:
-        if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
-            findings.add(owner, f'hair of particle system "{system.name}" is not supported yet; it is left out.')

@@ -7,12 +7,12 @@ import bpy
 import numpy as np
 from svgf.scene import Light, LightKind, RayVisibility
 
-from .findings import Findings, find_light_linking
+from .findings import Findings
 from .nodes import constant, describe, has_nodes, source
 from .transforms import lengths, rigid
+from .unsupported import find_in_lamp
 from .visibility import ray_visibility
 
-_MOST_BOUNCES = 1024  # Cycles' "no limit"
 _KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT}
 _AREA_KINDS = {
     "SQUARE": LightKind.RECTANGLE,
@@ -30,7 +30,7 @@ def export_light(lamp: bpy.types.Object, matrix: np.ndarray, findings: Findings)
         return None
     kind = _AREA_KINDS[light.shape] if light.type == "AREA" else _KINDS[light.type]
     size = _size(light, lengths(matrix))
-    _find_unsupported(lamp, findings)
+    find_in_lamp(lamp, findings)
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= light.temperature_color
@@ -88,17 +88,3 @@ def _node_emission(light: bpy.types.Light, findings: Findings) -> np.ndarray:
         culprit = node
     findings.add(light, f"{describe(culprit)} is not supported yet; the lamp's own colour and power are used instead.")
     return np.ones(3)
-
-
-def _find_unsupported(lamp: bpy.types.Object, findings: Findings) -> None:
-    light = lamp.data
-    find_light_linking(lamp, findings)
-    if light.type == "SPOT" and np.ptp(lengths(np.array(lamp.matrix_world))) > 1e-4 * max(lamp.matrix_world.to_scale()):
-        findings.add(lamp, "a spot lamp scaled unevenly is not supported yet; its cone is round.")
-    if not light.use_shadow:
-        findings.add(light, "a lamp without shadows is not supported yet; it casts them.")
-    if getattr(lamp, "lightgroup", ""):
-        findings.add(lamp, "light groups are not supported yet; there is one picture of all lamps.")
-    cycles = getattr(light, "cycles", None)
-    if cycles is not None and cycles.max_bounces < _MOST_BOUNCES:
-        findings.add(light, "a limit on a lamp's own bounces is not supported yet; it lights every bounce.")

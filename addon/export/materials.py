@@ -154,6 +154,8 @@ def _surface(
     inputs = InputReader(context, values, material.name, find)
     displacement = _displacement(material, find_input(output, "Displacement"), inputs, find)
     surface = SurfaceReader(inputs, find, displacement).read(find_input(output, "Surface"))
+    if not material.use_transparent_shadow and surface.lets_light_through:
+        find("opaque shadows of what is transparent are not supported yet; light passes.")
     return surface, tuple(sorted(inputs.tangent_layers))
 
 

@@ -49,6 +49,13 @@ class Surface:
     def depth(self) -> int:
         return 1 + max(part.depth for part in self.parts) if self.parts else 0
 
+    @property
+    def lets_light_through(self) -> bool:
+        """Straight, as transparent surfaces do."""
+        own = self.material
+        is_transparent = own.kind is MaterialKind.TRANSPARENT or own.alpha < 1 or "alpha" in own.maps
+        return is_transparent or any(part.lets_light_through for part in self.parts)
+
 
 @dataclass
 class _Fields:

@@ -20,6 +20,7 @@ from .node_values import CAMERA_RAY, DIRECTION, ValueReader
 from .nodes import Place, describe, find_input, has_nodes, trace
 from .sky import sky_image
 from .textures import TextureCache
+from .unsupported import find_in_world
 from .visibility import ray_visibility
 
 # Width of the image of a tree without images, and of the largest; twice the height.
@@ -42,13 +43,15 @@ def export_world(
     """
     if world is None:
         return World(), ()
-    _find_unsupported(world, findings)
+    find_in_world(world, findings)
     visibility = World.visibility
     if hasattr(world, "cycles_visibility"):
         visibility = ray_visibility(world.cycles_visibility, "")
     if not has_nodes(world):
         return World(_color(world.color), visibility=visibility), ()
     output = world.node_tree.get_output_node("CYCLES")
+    if output and trace(Place(output.inputs["Volume"])).is_output:
+        findings.add(world, "volumes are not supported yet; the air is clear.")
     start = output and find_input(output, "Surface")
     surface = start and trace(start)
     if surface is None or not surface.is_output:
@@ -208,9 +211,3 @@ def _bake(name: str, radiance: Expression, rotation: np.ndarray) -> Texture:
     while len(_baked) > _KEPT:
         _baked.popitem(last=False)
     return _baked[key]
-
-
-def _find_unsupported(world: bpy.types.World, findings: Findings) -> None:
-    output = has_nodes(world) and world.node_tree.get_output_node("CYCLES")
-    if output and trace(Place(output.inputs["Volume"])).is_output:
-        findings.add(world, "volumes are not supported yet; the air is clear.")

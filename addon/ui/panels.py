@@ -15,7 +15,7 @@ _ENGINE = "SVGF"
 _ANY_ENGINE = "BLENDER_RENDER"
 # Panels that are marked so, but show what SVGF does not simulate, or what a panel below shows better.
 _LEFT_OUT = {"DATA_PT_light", "NODE_DATA_PT_light", "EEVEE_MATERIAL_PT_viewport_settings"}
-_LEFT_OUT_PARTS = ("freestyle", "lightprobe", "gpencil", "grease_pencil")
+_LEFT_OUT_PARTS = ("freestyle", "lightprobe", "gpencil", "grease_pencil", "RENDER_PT_simplify")
 # Panels of other engines that show exactly what SVGF reads.
 _BORROWED = {
     "DATA_PT_EEVEE_light",
@@ -64,9 +64,11 @@ class SVGF_PT_sampling(EnginePanel, bpy.types.Panel):
         settings, column = context.scene.svgf, self.columns()
         column.prop(settings, "device")
         column.prop(settings, "quality")
-        column.prop(settings, "samples", text="Render Samples")
-        column.prop(settings, "viewport_samples", text="Viewport")
+        column.separator()
+        column.prop(settings, "viewport_samples")
         column.prop(settings, "viewport_budget", text="Frame Budget (ms)")
+        column.separator()
+        column.prop(settings, "samples", text="Render Samples")
 
 
 class SVGF_PT_sampling_advanced(EnginePanel, bpy.types.Panel):
@@ -117,13 +119,18 @@ class SVGF_PT_denoiser(EnginePanel, bpy.types.Panel):
         column.prop(settings, "signals")
         for item in fields(DenoiseSettings):
             if item.name in _EVERYDAY and _is_read_by(settings.method, item):
-                column.prop(settings.denoise, item.name)
-            if item.name == "history_seconds" and _is_read_by(settings.method, item):
-                denoise = settings.to_settings().denoise
-                seconds = denoise.longest_history / denoise.frame_rate
-                row = column.split(factor=0.4)  # as properties are
-                row.label()
-                row.label(text=f"{seconds:.2f} s in playback")
+                row = column.row()
+                row.active = item.name != "history_frames" or settings.denoise.history_seconds == 0
+                row.prop(settings.denoise, item.name)
+                if item.name == "history_seconds":
+                    _draw_longest_history(column, settings.to_settings().denoise)
+
+
+def _draw_longest_history(column: bpy.types.UILayout, denoise: DenoiseSettings) -> None:
+    frames = denoise.longest_history
+    row = column.split(factor=0.4)  # as properties are
+    row.label()
+    row.label(text=f"{frames:.0f} frames, {frames / denoise.frame_rate:.2f} s in playback")
 
 
 class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
@@ -143,6 +150,22 @@ class SVGF_PT_denoiser_advanced(EnginePanel, bpy.types.Panel):
                 symbol = item.metadata["symbol"]
                 name = settings.denoise.bl_rna.properties[item.name].name
                 column.prop(settings.denoise, item.name, text=f"{name} ({symbol})" if symbol else name)
+
+
+class SVGF_PT_simplify(EnginePanel, bpy.types.Panel):
+    """Blender's own would come before all of ours, and has settings of what SVGF does not draw."""
+
+    bl_label = "Simplify"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        self.layout.prop(context.scene.render, "use_simplify", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        render, column = context.scene.render, self.columns()
+        column.active = render.use_simplify
+        column.prop(render, "simplify_subdivision", text="Viewport Subdivision")
+        column.prop(render, "simplify_subdivision_render", text="Render")
 
 
 class SVGF_PT_viewport(EnginePanel, bpy.types.Panel):
@@ -195,7 +218,7 @@ def _is_read_by(method: str, item: Field) -> bool:
 
 _PANELS = (
     *(SVGF_PT_sampling, SVGF_PT_sampling_advanced, SVGF_PT_light_paths, SVGF_PT_film),
-    *(SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_viewport, SVGF_PT_shading_overlay),
+    *(SVGF_PT_denoiser, SVGF_PT_denoiser_advanced, SVGF_PT_simplify, SVGF_PT_viewport, SVGF_PT_shading_overlay),
 )
 
 

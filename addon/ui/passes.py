@@ -27,6 +27,12 @@ _OWN = {
 }
 # Combined is always there; accuracy is no pass.
 _NO_PASSES = {"use_pass_combined", "use_pass_cryptomatte_accurate"}
+# Switches of Cycles' own.
+_CYCLES = (
+    *("use_pass_volume_direct", "use_pass_volume_indirect", "use_pass_volume_scatter", "use_pass_volume_transmit"),
+    *("use_pass_volume_majorant", "use_pass_shadow_catcher", "denoising_store_passes"),
+    *("pass_debug_sample_count", "pass_render_time"),
+)
 _OLDER_NAMES = {} if bpy.app.version >= (5, 0, 0) else {"Object Index": "IndexOB"}
 
 SVGFPasses = type(
@@ -60,6 +66,9 @@ def unsupported_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
         and getattr(view_layer, item.identifier)
     ]
     names += [f"{aov.name} (AOV)" for aov in view_layer.aovs]
+    names += [f"{group.name} (light group)" for group in view_layer.lightgroups]
+    cycles = getattr(view_layer, "cycles", None)  # absent where the Cycles add-on is disabled
+    names += [cycles.bl_rna.properties[name].name for name in _CYCLES if getattr(cycles, name, False)]
     if not names:
         return ()
     return (f'View layer "{view_layer.name}": passes are not supported yet and left out: {", ".join(names)}.',)

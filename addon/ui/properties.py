@@ -102,6 +102,8 @@ def _number_property(item: Field) -> Any:
     make = bpy.props.IntProperty if item.type == "int" else bpy.props.FloatProperty
     name = item.name.removeprefix("plus_").removeprefix("eaw_")  # of methods that are never shown together
     options = {} if item.type == "int" else {"precision": 3 if item.default < 1 else 1}
+    if data["unit"] == "s":
+        options["unit"] = "TIME_ABSOLUTE"
     return make(
         name=name.replace("_", " ").title(),
         description=description,

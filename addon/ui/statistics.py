@@ -32,6 +32,18 @@ _EFFECTS = {
 _CAUSES_SHOWN = 4
 
 
+def list_causes(names: tuple[str, ...]) -> str:
+    """Such as ``Material "Oak", "Wool" and 17 more``: of several of one kind the kind is named once."""
+    parts, last = [], ""
+    for name in names[:_CAUSES_SHOWN]:
+        kind, quote, rest = name.partition(' "')
+        parts.append(f'"{rest}' if quote and kind == last else name)
+        last = kind
+    more = f" and {len(names) - _CAUSES_SHOWN} more" if len(names) > _CAUSES_SHOWN else ""
+    text = ", ".join(parts) + more
+    return text[:1].upper() + text[1:]
+
+
 def effect_name(effect: Effects) -> str:
     return _EFFECTS.get(effect) or effect.name.replace("_", " ").capitalize()
 
@@ -63,8 +75,8 @@ class SVGF_PT_cost(_StatisticsPanel, bpy.types.Panel):
         for stage, milliseconds in frame.timings.items():
             _row(column, stage, f"{milliseconds:.1f} ms")
         _row(column, "view", f"{result.painting:.1f} ms")
-        _row(column, "all in all", f"{result.milliseconds + result.painting:.1f} ms")
         column.separator()
+        _row(column, "Frame", f"{result.milliseconds + result.painting:.1f} ms")
         divided = f" (1/{session.divisor})" if session.divisor > 1 else ""
         _row(column, "Resolution", f"{frame.width} x {frame.height}{divided}")
         _row(column, "Samples", f"{result.samples} of {session.sample_limit}")
@@ -81,11 +93,14 @@ class SVGF_PT_effects(_StatisticsPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        result = self.session(context).result
-        column = self.layout.column(align=True)
+        session = self.session(context)
+        result, column = session.result, self.layout.column(align=True)
         if result.scene is None:
             return
-        column.operator("svgf.measure_effects", icon="TIME")
+        row = column.row()
+        row.enabled = not session.measuring
+        text = "Measuring" if session.measuring else SVGF_OT_measure_effects.bl_label
+        row.operator(SVGF_OT_measure_effects.bl_idname, text=text, icon="TIME")
         column.separator()
         causes = find_causes(result.scene)
         for effect, names in causes.items():
@@ -93,9 +108,8 @@ class SVGF_PT_effects(_StatisticsPanel, bpy.types.Panel):
             row.label(text=effect_name(effect), icon="CHECKBOX_HLT")
             cell = row.row()
             cell.alignment = "RIGHT"
-            cell.label(text=f"{result.costs[effect]:+.1f} ms" if effect in result.costs else "")
-            more = f" and {len(names) - _CAUSES_SHOWN} more" if len(names) > _CAUSES_SHOWN else ""
-            _write(column, context, ", ".join(names[:_CAUSES_SHOWN]) + more, "BLANK1")
+            cell.label(text=_cost(result.costs[effect]) if effect in result.costs else "")
+            _write(column, context, list_causes(names), "BLANK1")
         left_out = [effect_name(effect) for effect in Effects if effect not in causes]
         column.separator()
         _write(column, context, f"Not here, and not paid for: {', '.join(left_out)}", "CHECKBOX_DEHLT")
@@ -134,6 +148,11 @@ class SVGF_PT_warnings(_StatisticsPanel, bpy.types.Panel):
             row.operator("svgf.select_culprit", text="", icon="RESTRICT_SELECT_OFF").finding = number
 
 
+def _cost(milliseconds: float) -> str:
+    """What is measured to save time is what cannot be told from noise."""
+    return f"+{milliseconds:.1f} ms" if milliseconds >= 0.05 else "about 0 ms"
+
+
 def _row(column: bpy.types.UILayout, name: str, value: str) -> None:
     row = column.row()
     row.label(text=name)
@@ -149,7 +168,7 @@ def _write(column: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
         column.label(text=line, icon="BLANK1" if number else icon)
 
 
-_CLASSES = (SVGF_PT_cost, SVGF_OT_measure_effects, SVGF_PT_effects, SVGF_PT_warnings)
+_CLASSES = (SVGF_PT_warnings, SVGF_PT_cost, SVGF_OT_measure_effects, SVGF_PT_effects)
 
 
 def register() -> None:

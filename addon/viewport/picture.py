@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from svgf.diagnostics import ResetReason
 from svgf.frame import Frame
 
-_ROWS = 64  # that are painted at once
+_ROWS = 16  # that are painted at once
 _THREADS = min(4, os.cpu_count() or 1)
 _LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
@@ -191,11 +192,30 @@ OVERLAYS = {
 }
 
 
-def paint(frame: Frame, look: Look) -> np.ndarray:
+class PictureMemory:
+    """Memory of pictures that nobody holds any more, for the next ones: new pages cost more than to fill them."""
+
+    def __init__(self) -> None:
+        self._free: list[np.ndarray] = []
+
+    def new(self, height: int, width: int) -> np.ndarray:
+        """float32 [H, W, 4] of any values."""
+        shape = height, width, 4
+        memory = None
+        while self._free and (memory is None or memory.shape != shape):
+            memory = self._free.pop()
+        if memory is None or memory.shape != shape:
+            memory = np.empty(shape, np.float32)
+        picture = memory.view()
+        weakref.finalize(picture, self._free.append, memory).atexit = False
+        return picture
+
+
+def paint(frame: Frame, look: Look, memory: PictureMemory | None = None) -> np.ndarray:
     """float32 [H, W, 4], bottom row first, alpha premultiplied, finite: what a half-float texture takes."""
     overlay = OVERLAYS[look.overlay]
     image = overlay.image(frame)
-    pixels = np.empty((frame.height, frame.width, 4), np.float32)
+    pixels = (memory or PictureMemory()).new(frame.height, frame.width)
     _fill(pixels, image if image.ndim == 3 else image[..., None], 1 if overlay.is_data else _LARGEST_HALF)
     if look.overlay == "split":
         column = round(look.split * frame.width)

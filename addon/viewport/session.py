@@ -30,12 +30,13 @@ class ViewSession:
     """What outlives Blender's engine instances, which come and go with each change of the shading mode.
 
     engine: token of the instance that exported last; changes that came while there was none are unknown to it.
-    drawn: number of the result that is on the screen.
+    drawn: number of the result that is on the screen. camera_findings: of the camera that the view looks through.
     """
 
     def __init__(self, worker: Worker | None = None) -> None:
         self.engine: object = None
         self.drawn = -1
+        self.camera_findings: tuple[Finding, ...] = ()
         self._worker = worker or Worker()
         self._exporter = Exporter()
         self._resolution = Resolution()
@@ -76,8 +77,8 @@ class ViewSession:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is not as in Blender, of the newest export."""
-        return self._exporter.findings if self._scene else ()
+        """What is not as in Blender, of the newest export and of the camera."""
+        return (*self._exporter.findings, *self.camera_findings) if self._scene else ()
 
     @property
     def sample_limit(self) -> int:
@@ -145,6 +146,11 @@ class ViewSession:
     def measure_effects(self) -> None:
         """Asks the worker what each effect costs; a later result tells."""
         self._worker.measure_effects()
+
+    @property
+    def measuring(self) -> bool:
+        """Whether measure_effects was asked for, and is not done."""
+        return self._worker.measuring
 
     def status(self) -> str:
         """One line for the corner of the view."""

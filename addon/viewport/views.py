@@ -16,6 +16,8 @@ from svgf.scene import Aperture
 
 from ..export.camera import export_aperture
 from ..export.exporter import render_defaults
+from ..export.findings import Finding, Findings
+from ..export.unsupported import find_in_camera
 from .camera import View, border_in_frame, cut_out, view_camera
 from .draw import PictureTexture
 from .picture import OVERLAYS, Look
@@ -114,6 +116,7 @@ def _show(
     scene, region = depsgraph.scene_eval, context.region
     pixel_size = int(engine.get_preview_pixel_size(scene))
     view = _view(context, scene, (math.ceil(region.width / pixel_size), math.ceil(region.height / pixel_size)))
+    session.camera_findings = _camera_findings(context)
     defaults, properties = render_defaults(scene, view.size), scene.svgf
     session.show(
         view,
@@ -128,17 +131,32 @@ def _show(
 
 def _view(context: bpy.types.Context, scene: bpy.types.Scene, size: tuple[int, int]) -> View:
     """size: of the whole view, in pixels."""
-    space, region_view = context.space_data, context.region_data
+    space, region_view, camera = context.space_data, context.region_data, _camera(context)
     clip, border, aperture = (space.clip_start, space.clip_end), WHOLE, Aperture()
-    if region_view.view_perspective == "CAMERA" and space.camera is not None and space.camera.type == "CAMERA":
-        data, render = space.camera.data, scene.render
-        clip, aperture = (data.clip_start, data.clip_end), export_aperture(space.camera)
+    if camera is not None:
+        data, render = camera.data, scene.render
+        clip, aperture = (data.clip_start, data.clip_end), export_aperture(camera)
         if render.use_border:
             border = border_in_frame(region_view.window_matrix, data.view_frame(scene=scene), _border(render))
     elif space.use_render_border:
         border = _border(space)
-    camera = view_camera(region_view.view_matrix, region_view.window_matrix, clip)
-    return cut_out(replace(camera, aperture=aperture), size, border)
+    seen = view_camera(region_view.view_matrix, region_view.window_matrix, clip)
+    return cut_out(replace(seen, aperture=aperture), size, border)
+
+
+def _camera(context: bpy.types.Context) -> bpy.types.Object | None:
+    """That the view looks through."""
+    camera = context.space_data.camera
+    looks = context.region_data.view_perspective == "CAMERA" and camera is not None and camera.type == "CAMERA"
+    return camera if looks else None
+
+
+def _camera_findings(context: bpy.types.Context) -> tuple[Finding, ...]:
+    """Not of the export, which knows no camera: turning one exports nothing."""
+    camera, findings = _camera(context), Findings()
+    if camera is not None:
+        find_in_camera(camera, findings)
+    return findings.found()
 
 
 def _border(owner: bpy.types.RenderSettings | bpy.types.SpaceView3D) -> Part:

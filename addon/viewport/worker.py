@@ -20,7 +20,7 @@ from svgf.scene import Scene
 from svgf.settings import Settings
 
 from .follow import follow, restart_reason
-from .picture import OVERLAYS, Look, paint
+from .picture import OVERLAYS, Look, PictureMemory, paint
 
 _JOIN_SECONDS = 0.02
 _STATISTICS_SECONDS = 0.25  # between readings of images that only panels show
@@ -94,6 +94,7 @@ class Worker:
         # Daemon, so that a Blender that ends without disabling the add-on is not held up.
         self._thread = threading.Thread(target=self._run, name="svgf view", daemon=True)
         # Of the thread alone:
+        self._memory = PictureMemory()
         self._renderer: Renderer | None = None
         self._device_name = ""
         self._lost: set[str] = set()  # devices that failed
@@ -101,6 +102,7 @@ class Worker:
         self._failed: Request | None = None  # not tried again
         self._counted = -math.inf  # when noise and history were last read, in seconds
         self._mean: np.ndarray | None = None  # [H, W, 3] colour of all frames since the view came to rest
+        self._alpha: np.ndarray | None = None  # [H, W] of the same frames
         self._squares: np.ndarray | None = None  # [H, W] their luminance's sum of squared distances from it
 
     def submit(self, request: Request) -> None:
@@ -120,6 +122,10 @@ class Worker:
         with self._condition:
             self._measuring = True
             self._condition.notify()
+
+    @property
+    def measuring(self) -> bool:
+        return self._measuring
 
     @property
     def busy(self) -> bool:
@@ -202,7 +208,7 @@ class Worker:
         if measuring:
             result = self._with_costs(request, result)
         start = time.perf_counter()
-        picture = paint(result.frame, request.look)
+        picture = paint(result.frame, request.look, self._memory)
         painting = (time.perf_counter() - start) * 1e3
         # In this order, so that the worker seems at rest only when its result can be seen; in _fail as well.
         self._publish(replace(result, request=request, picture=picture, painting=painting, error=""))
@@ -224,6 +230,8 @@ class Worker:
         samples = 1 if new or frame.reset else last.samples + 1
         if request.settings.method == "none":
             frame = self._averaged(frame, samples)
+        if frame.alpha is not None:
+            frame = self._with_mean_alpha(frame, samples)
         milliseconds = (time.perf_counter() - start) * 1e3
         noise, history = last.noise, last.history
         if samples >= request.sample_limit or time.monotonic() >= self._counted + _STATISTICS_SECONDS:
@@ -255,7 +263,7 @@ class Worker:
             opened = renderer.device if renderer is not None and self._device_name == device else None
             self._renderer = renderer = None  # its memory is free before the next one asks for some
             self._device_name = device
-            renderer = self._renderer = Renderer(settings, opened or self._open_device(device))
+            renderer = self._renderer = Renderer(settings, opened or self._open_device(device), interactive=True)
             if self.result.frame is not None:
                 renderer.reset("the settings changed" if opened else "the device changed")
         return renderer
@@ -289,6 +297,11 @@ class Worker:
             self._squares = self._squares + (difference @ _LUMINANCE) * ((color - self._mean) @ _LUMINANCE)
         variance = self._squares / max(samples * (samples - 1), 1)
         return frame.with_images(color=self._mean.astype(np.float32), variance=variance.astype(np.float32))
+
+    def _with_mean_alpha(self, frame: Frame, samples: int) -> Frame:
+        """No denoiser looks at it, so what one frame says of a silhouette is ragged."""
+        self._alpha = frame.alpha if samples == 1 else self._alpha + (frame.alpha - self._alpha) / np.float32(samples)
+        return frame.with_images(alpha=self._alpha)
 
     def _drop_device(self, request: Request, error: DeviceError) -> None:
         """The processor goes on where the GPU failed."""

@@ -228,7 +228,7 @@ Vec4 read_window(const nb::dict& images) {
 }
 
 nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::optional<uintptr_t> stream,
-                 bool diagnostics, bool unchanged) {
+                 bool diagnostics, bool unchanged, bool interactive) {
     Device& device = denoiser.device();
     const int width = denoiser.width(), height = denoiser.height();
     const size_t pixels = size_t(width) * height;
@@ -237,6 +237,7 @@ nb::dict denoise(Denoiser& denoiser, const nb::dict& images, bool reset, std::op
     DenoiseInputs inputs = gather_denoise_inputs([&](const char* name) { return reader(name); });
     inputs.window = read_window(images);
     inputs.is_unchanged = unchanged;
+    inputs.is_interactive = interactive;
     denoiser.prepare(inputs.signals);  // on the device's own stream, which outlives the caller's
     const Device::StreamScope scope(device, stream);
     Buffer<float> color(device, pixels * 3, "the denoised image");
@@ -415,7 +416,7 @@ void bind_denoiser(nb::module_& module) {
             new (self) Denoiser(device, width, height, *method, read_settings(settings));
         }, nb::keep_alive<1, 2>(), "device"_a, "width"_a, "height"_a, "method"_a, "settings"_a)
         .def("denoise", &denoise, "inputs"_a, "reset"_a, "stream"_a = nb::none(), "diagnostics"_a = false,
-             "unchanged"_a = false)
+             "unchanged"_a = false, "interactive"_a = false)
         .def("resize", &Denoiser::resize, "width"_a, "height"_a, nb::call_guard<nb::gil_scoped_release>(),
              "The next frame is of another size; history goes on in it.")
         .def("history_images", [](Denoiser& denoiser) {

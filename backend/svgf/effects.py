@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from enum import IntFlag, auto
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -51,6 +52,8 @@ class Effects(IntFlag):
 
 # Below it a lobe is a mirror: alpha < 1e-3, see native/trace/microfacet.h.
 SMOOTH_ROUGHNESS = 1e-3**0.5
+
+_slots: WeakKeyDictionary[Mesh, np.ndarray] = WeakKeyDictionary()  # distinct ones
 
 MOTION_EFFECTS = Effects.CAMERA_MOTION | Effects.OBJECT_MOTION | Effects.DEFORMATION
 
@@ -152,7 +155,15 @@ def slots_and_starts(meshes: tuple[Mesh, ...], instances: Instances):
     order, bounds = instances_by_mesh(instances.mesh, len(meshes))
     starts = np.asarray(instances.material_start)[order]
     for index in np.flatnonzero(np.diff(bounds)):
-        yield np.unique(meshes[index].material_slots), starts[bounds[index] : bounds[index + 1]]
+        yield _slots_of(meshes[index]), starts[bounds[index] : bounds[index + 1]]
+
+
+def _slots_of(mesh: Mesh) -> np.ndarray:
+    """Once for each mesh: of a million triangles this takes 15 ms, which a view would pay in every frame."""
+    slots = _slots.get(mesh)
+    if slots is None:
+        slots = _slots[mesh] = np.unique(mesh.material_slots)
+    return slots
 
 
 def instances_by_mesh(instance_mesh: np.ndarray, mesh_count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,14 @@ class SceneUploader:
         """flat: the frame to trace next. Raises OutOfMemory, DeviceError."""
         meshes = self._keep(self._meshes, flat.meshes, self._new_mesh)
         textures = self._keep(self._textures, flat.textures, self._new_texture)
-        if meshes is not None or self._changed(flat, INSTANCE_FIELDS):
+        new_materials = textures is not None or self._changed(flat, MATERIAL_FIELDS)
+        if new_materials:
+            self._tracer.set_materials(
+                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
+                [self._textures[id(texture)][1] for texture in flat.textures],
+            )
+        # What the trees may do with an instance depends on its materials.
+        if new_materials or meshes is not None or self._changed(flat, INSTANCE_FIELDS):
             self._tracer.set_instances(
                 [self._meshes[id(mesh)][1] for mesh in flat.meshes],
                 flat.instance_mesh,
@@ -51,11 +58,6 @@ class SceneUploader:
                 flat.material_table,
                 flat.visibility,
                 flat.emitter,
-            )
-        if textures is not None or self._changed(flat, MATERIAL_FIELDS):
-            self._tracer.set_materials(
-                *(np.asarray(getattr(flat, name), self._dtype) for name in MATERIAL_FIELDS),
-                [self._textures[id(texture)][1] for texture in flat.textures],
             )
         if self._changed(flat, LIGHT_FIELDS):
             self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})
@@ -165,11 +167,15 @@ def _same(a: Any, b: Any) -> bool:
 class Renderer:
     """Renders scenes one after the other; temporal history carries over from each frame to the next.
 
-    settings: what to render and how. device: a name for ``open_device``, or an opened Device.
+    settings: what to render and how. device: a name for ``open_device``, or an opened Device. interactive: for a view
+    that someone works in: while something changes, what stands still shows denoised frames alone.
     """
 
-    def __init__(self, settings: Settings | None = None, device: str | Device = "auto") -> None:
+    def __init__(
+        self, settings: Settings | None = None, device: str | Device = "auto", interactive: bool = False
+    ) -> None:
         self.settings = settings or Settings()
+        self._interactive = interactive
         self.device = open_device(device) if isinstance(device, str) else device
         self._tracer = self.device.tracer()
         self._uploader = SceneUploader(self.device, self._tracer)
@@ -302,6 +308,7 @@ class Renderer:
             reset=bool(reset),
             diagnostics=self.settings.diagnostics,
             unchanged=self._repeats > SETTLING_FRAMES,
+            interactive=self._interactive,
         )
 
     def _finish(

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from blend import add_cube, add_light, add_material, add_mesh, add_world, animate, save
+from svgf import devices
 from svgf.cli import app
 from svgf.errors import DeviceError, Interrupted
 from svgf.io import exr
@@ -160,9 +161,13 @@ def test_passes_that_we_lack_are_named(scene):
     assert unsupported_passes(view_layer) == ()
     view_layer.use_pass_mist = view_layer.use_pass_diffuse_color = True
     view_layer.aovs.add().name = "Mask"
+    view_layer.lightgroups.add(name="Key")
+    if hasattr(view_layer, "cycles"):
+        view_layer.cycles.denoising_store_passes = True
     (sentence,) = unsupported_passes(view_layer)
     assert sentence.startswith('View layer "ViewLayer": passes are not supported yet and left out: ')
-    assert all(name in sentence for name in ("Mist", "Diffuse Color", "Mask (AOV)"))
+    assert all(name in sentence for name in ("Mist", "Diffuse Color", "Mask (AOV)", "Key (light group)"))
+    assert ("Denoising" in sentence) is hasattr(view_layer, "cycles")
 
 
 def test_passes_that_nobody_asks_for_are_not_there(scene, tmp_path):
@@ -181,6 +186,15 @@ def test_settings_reach_the_renderer(scene, tmp_path, engine_device):
     bpy.ops.render.render(write_still=True)
     (frame,) = from_python(save(tmp_path / "settings.blend"), [1], engine_device, method="none", samples=3, seed=7)
     assert np.array_equal(exr.find_pass(rendered(tmp_path), "Combined", "")[..., :3], frame.color)
+
+
+def test_a_view_layer_may_have_samples_of_its_own(scene, tmp_path):
+    images = []
+    scene.svgf.method = "none"
+    for scene.svgf.samples, scene.view_layers[0].samples in ((3, 0), (1, 3)):
+        bpy.ops.render.render(write_still=True)
+        images.append(exr.find_pass(rendered(tmp_path), "Combined", ""))
+    assert np.array_equal(*images)
 
 
 def test_a_still_does_not_depend_on_what_was_rendered_before(scene, tmp_path):
@@ -273,6 +287,39 @@ def test_device_that_fails_is_said(scene, monkeypatch):
         bpy.ops.render.render()
     monkeypatch.undo()
     assert bpy.ops.render.render() == {"FINISHED"}
+
+
+def test_a_lost_gpu_gives_way_to_the_cpu(scene, tmp_path, monkeypatch, capfd):
+    """When it is opened, and in the middle of an animation, which goes on to its end."""
+    bpy.ops.render.render(write_still=True)
+    expected = exr.find_pass(rendered(tmp_path), "Combined", "")
+    scene.svgf.device = "cuda"
+
+    def open_device(name: str):
+        if name != "cpu":
+            raise DeviceError("The GPU is lost.", "Restart.")
+        return devices.open_device(name)
+
+    monkeypatch.setattr(session, "open_device", open_device)
+    monkeypatch.setattr(session, "_devices", {})
+    assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
+    assert np.array_equal(exr.find_pass(rendered(tmp_path), "Combined", ""), expected)
+    assert "The GPU is lost. Restart. The CPU goes on." in "".join(capfd.readouterr())
+
+    class Failing(Renderer):
+        def render(self, scene, *arguments):
+            if self.device is gpu and scene.frame == 2:
+                raise DeviceError("The GPU failed.", stage="path")
+            return super().render(scene, *arguments)
+
+    gpu = Mock(wraps=devices.open_device("cpu"))
+    gpu.name, gpu.description = "cuda", "GPU"
+    monkeypatch.setattr(session, "open_device", lambda name: gpu if name == "cuda" else devices.open_device(name))
+    monkeypatch.setattr(session, "_devices", {})
+    monkeypatch.setattr(session, "Renderer", Failing)
+    assert bpy.ops.render.render(animation=True) == {"FINISHED"}
+    assert len(list(tmp_path.glob("frame_0*.exr"))) == 3
+    assert "The GPU failed. The CPU goes on." in "".join(capfd.readouterr())
 
 
 def test_fault_of_ours_is_said(scene, monkeypatch):

@@ -138,15 +138,13 @@ def test_portals_are_no_lamps():
 
 def test_what_lamps_do_that_is_not_simulated():
     add_light("SUN", "Ghost", use_shadow=False, energy=-1)
-    lamp = add_light("POINT", "Grouped")
-    lamp.lightgroup = "Key"
+    lamp = add_light("POINT", "Limited")
     if hasattr(lamp.data, "cycles"):
         lamp.data.cycles.max_bounces = 2
     warnings = export().warnings
-    for name, feature in (("Ghost", "a lamp without shadows"), ("Ghost", "negative light"), ("Grouped", "a limit on")):
+    for name, feature in (("Ghost", "a lamp without shadows"), ("Ghost", "negative light"), ("Limited", "a limit on")):
         assert sum(warning.startswith(f'Light "{name}": {feature}') for warning in warnings) == 1
-    assert sum(warning.startswith('Object "Grouped": light groups') for warning in warnings) == 1
-    assert len(warnings) == 4
+    assert len(warnings) == 3
 
 
 @pytest.mark.parametrize("spread", [1.0, np.pi])

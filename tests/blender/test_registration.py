@@ -147,6 +147,16 @@ def test_blender_shows_its_own_panels(registered):
         *("RENDER_PT_format", "RENDER_PT_output", "RENDER_PT_color_management", "OBJECT_PT_visibility"),
     } <= shown
     assert not any("freestyle" in name or "lightprobe" in name for name in shown)
+    # Ours has its place below the sampling.
+    assert "SVGF_PT_simplify" in shown and not any("RENDER_PT_simplify" in name for name in shown)
+
+
+def test_a_list_of_causes_names_each_kind_once(registered):
+    from svgf_blender.ui.statistics import list_causes
+
+    assert list_causes(("the world",)) == "The world"
+    assert list_causes(('material "Oak"', 'material "Wool"', 'lamp "Key"')) == 'Material "Oak", "Wool", lamp "Key"'
+    assert list_causes(tuple(f'lamp "{i}"' for i in range(6))) == 'Lamp "0", "1", "2", "3" and 2 more'
 
 
 def test_manifest():

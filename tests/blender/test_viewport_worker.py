@@ -16,7 +16,7 @@ from svgf.effects import Effects, find_effects
 from svgf.errors import DeviceError, InputError, Interrupted
 from svgf.settings import Settings
 from svgf_blender.viewport import worker as module
-from svgf_blender.viewport.picture import OVERLAYS, RESET_COLORS, Look, paint
+from svgf_blender.viewport.picture import OVERLAYS, RESET_COLORS, Look, PictureMemory, paint
 from svgf_blender.viewport.worker import Request, Worker
 
 DEVICE = next(info.name for info in reversed(available_devices()[1:]) if info.available and info.name == "cpu")
@@ -105,6 +105,19 @@ def test_still_view_becomes_what_a_final_render_is(worker, scene):
     final = module.Renderer(Settings(method="none", samples=128), DEVICE).render(scene).color
     assert np.abs(color - final).mean() < 0.02 * final.mean()
     assert color.mean() == pytest.approx(final.mean(), rel=0.005)
+
+
+def test_memory_of_pictures_is_used_again_when_nobody_holds_them():
+    memory = PictureMemory()
+    shown, waiting = memory.new(4, 6), memory.new(4, 6)
+    shown[:], waiting[:] = 1, 2
+    address = waiting.ctypes.data
+    del waiting
+    again = memory.new(4, 6)
+    again[:] = 3
+    assert again.ctypes.data == address and (shown == 1).all()
+    del again
+    assert memory.new(2, 2).shape == (2, 2, 4), "Another size does not fit."
 
 
 def test_overlay_paints_the_same_frame_again(worker, scene):
@@ -262,6 +275,17 @@ def test_transparent_film_lets_the_background_through(worker, scene):
     picture = paint(frame, Look())
     assert not picture[background].any() and (picture[~background, 3] > 0).all()
     assert (paint(frame, Look("depth"))[..., 3] == 1).all(), "Data has no background."
+
+
+def test_alpha_of_a_view_at_rest_is_the_mean_of_its_frames(worker, scene):
+    """Half of a pixel that a silhouette halves; a single frame knows all or nothing of it."""
+    scene = replace(scene, defaults=replace(scene.defaults, transparent_film=True))
+    for settings in (Settings(), Settings(method="none")):
+        alpha = ask(worker, scene, limit=64, settings=settings).frame.alpha
+        edge = (alpha > 0) & (alpha < 1)
+        assert np.allclose(alpha * 64, np.round(alpha * 64), atol=1e-3) and edge.sum() > 10
+    again = ask(worker, replace(scene, name="again"), limit=1).frame.alpha
+    assert set(np.unique(again)) <= {0.0, 1.0}, "The mean starts afresh where something changes."
 
 
 def test_diagnostics_are_made_only_while_they_are_shown(worker, scene):

@@ -14,11 +14,13 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
+import numpy as np
 from window import (
     ARGUMENTS,
     areas,
@@ -32,17 +34,21 @@ from window import (
     space,
     start_engine,
     svgf_blender,
+    until,
     views,
     window,
 )
 
 # After window, which finds them.
+from svgf.settings import DenoiseSettings
 from svgf_blender.ui import statistics
+from svgf_blender.viewport.session import ViewSession
 
 ENDLESS = 10**6  # samples, so that there is always a frame in the making
 LARGEST_GROWTH = 1.05  # of the resident memory, in a step
 LONGEST_BLOCK_SECONDS = 0.05  # of the main thread's own time
 LONGEST_WAIT_SECONDS = 0.5  # with what other programs on the machine take away
+SHORTEST_OF_REFLECTIONS = 4  # frames of history, of those that move; the longest of a pixel is seen to have 9
 
 
 def script() -> Iterator[float]:
@@ -65,8 +71,11 @@ def script() -> Iterator[float]:
         assert after < LARGEST_GROWTH * before, name
         assert blocks.longest("work") < LONGEST_BLOCK_SECONDS and blocks.longest("time") < LONGEST_WAIT_SECONDS, name
     window().scene.render.engine = "BLENDER_WORKBENCH"
-    yield 1.0
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
+    yield from until(lambda: not our_threads(), "Threads are left.")
+
+
+def our_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("svgf")]
 
 
 class Blocks:
@@ -113,7 +122,7 @@ class Blocks:
         return timed
 
 
-def running(seconds: float = 30) -> Iterator[float]:
+def running(seconds: float = 60) -> Iterator[float]:
     """Waits for the first picture."""
     end = time.monotonic() + seconds
     while not views.sessions_of(window().scene) or session().result.frame is None:
@@ -132,21 +141,26 @@ def toggles(times: int) -> Iterator[float]:
 
 
 def resizes(times: int) -> Iterator[float]:
-    """Of the view by its edge, and of the whole window. No mesh is read again."""
+    """Of the view by its edge, and of the whole window. Nothing is exported."""
     yield 0.5
-    meshes, sizes = session().counters.meshes, set()
+    before, sizes = replace(session().counters), set()
+    edge, width, height = areas("VIEW_3D")[0].width, window().width, window().height
     for step in range(times):
-        change = 60 * (-1) ** step
+        smaller = 60 * (step % 2 == 0)
         if step % 10 < 8:
-            yield from drag_edge(areas("VIEW_3D")[0], -change)
+            yield from drag_edge(areas("VIEW_3D")[0], edge - smaller - areas("VIEW_3D")[0].width)
         else:
-            yield from resize_window(window().width - change, window().height - change)
+            yield from resize_window(width - smaller, height - smaller)
         sizes.add((window_region().width, window_region().height))
-    yield 0.5
-    frame, region = session().result.frame, window_region()
-    print(f"    {len(sizes)} sizes, the last one {region.width}x{region.height}")
-    assert session().counters.meshes == meshes and len(sizes) >= min(times, 4), sizes
-    assert (frame.width, frame.height) == (-(-region.width // 4), -(-region.height // 4))
+
+    def is_back() -> bool:
+        region, frame = window_region(), session().result.frame
+        size = -(-region.width // 4), -(-region.height // 4)
+        return abs(areas("VIEW_3D")[0].width - edge) < 5 and (frame.width, frame.height) == size
+
+    yield from until(is_back, "View or picture are not as large as before.")  # for memory is compared
+    print(f"    {len(sizes)} sizes, the last one {window_region().width}x{window_region().height}")
+    assert session().counters == before and len(sizes) >= min(times, 3), sizes
 
 
 def resize_window(width: int, height: int) -> Iterator[float]:
@@ -175,8 +189,16 @@ def undo(times: int) -> Iterator[float]:
             yield 0.01
     yield 0.5
     expected = bpy.data.objects["Cube"].location.x
-    shown = session().result.scene.instances.object_to_world[0, 0, 3]
-    assert abs(shown - expected) < 1e-6, (shown, expected)
+    yield from until(lambda: abs(shown_place()[0] - expected) < 1e-6, "The view does not show what undo brought back.")
+
+
+def shown_place(each: ViewSession | None = None) -> np.ndarray:
+    """Of the only instance, in the newest picture of a view."""
+    return (each or session()).result.scene.instances.object_to_world[0, :, 3]
+
+
+def shown_meshes() -> set[str]:
+    return {mesh.name for mesh in session().result.scene.meshes}
 
 
 def delete(times: int) -> Iterator[float]:
@@ -186,11 +208,10 @@ def delete(times: int) -> Iterator[float]:
         yield 0.05
         bpy.data.objects.remove(bpy.context.object)
         yield 0.05
-    yield 0.3
-    assert len(session().result.scene.meshes) == 1 and not session().error
+    yield from until(lambda: shown_meshes() == {"Cube"}, "The spheres are still there.")
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    yield 0.5
-    assert not session().result.scene.meshes and not session().error
+    yield from until(lambda: not shown_meshes(), "The cube is still there.")
+    assert not session().error, session().error
     with override():
         bpy.ops.mesh.primitive_cube_add()
     bpy.context.object.name = "Cube"
@@ -214,95 +235,114 @@ def modes(times: int) -> Iterator[float]:
 def pixel_sizes(times: int) -> Iterator[float]:
     """Each one is a resize of all images; no mesh is read again."""
     yield 0.5
-    meshes = session().counters.meshes
+    before = replace(session().counters)
     for step in range(times):
         window().scene.render.preview_pixel_size = ("8", "4")[step % 2]
         areas("VIEW_3D")[0].tag_redraw()
         yield 0.02
-    assert session().counters.meshes == meshes
+    counters = session().counters
+    # Blender says only that the scene has changed, so all is looked at, and nothing found that is new.
+    assert replace(counters, exports=before.exports, walks=before.walks) == before, (counters, before)
 
 
 def two_views(times: int) -> Iterator[float]:
+    cube = bpy.data.objects["Cube"]
     for _ in range(times):
         with override():
             bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
-        yield 0.5
+        yield from until(lambda: len(areas("VIEW_3D")) == 2, "The view is not split.")
         for area in areas("VIEW_3D"):
             area.spaces.active.shading.type = "RENDERED"
-        yield 1.0
-        assert len(views.sessions_of(window().scene)) == 2
-        bpy.data.objects["Cube"].location.y += 1
-        yield 1.0
+        yield from rendered_views(2)
+        cube.location.y += 1
         for each in views.sessions_of(window().scene):
-            shown = each.result.scene.instances.object_to_world[0, 1, 3]
-            assert shown == bpy.data.objects["Cube"].location.y and not each.error
+            yield from until(lambda each=each: shown_place(each)[1] == cube.location.y, "A view does not follow.")
+            assert not each.error, each.error
         with bpy.context.temp_override(window=window(), area=areas("VIEW_3D")[1]):
             bpy.ops.screen.area_close()
-        yield 0.5
-        assert len(views.sessions_of(window().scene)) == 1
+        yield from rendered_views(1)
+
+
+def rendered_views(count: int) -> Iterator[float]:
+    """Waits until so many views, and no others, have a picture."""
+
+    def done() -> bool:
+        sessions = views.sessions_of(window().scene)
+        return len(sessions) == count and all(each.result.frame is not None for each in sessions)
+
+    yield from until(done, f"There are not {count} views.")
 
 
 def quad_view(times: int) -> Iterator[float]:
     for _ in range(times):
-        with override():
-            bpy.ops.screen.region_quadview()
-        yield 1.5
-        assert len(views.sessions_of(window().scene)) == 4
-        with override():
-            bpy.ops.screen.region_quadview()
-        yield 0.5
-        assert len(views.sessions_of(window().scene)) == 1
+        for count in (4, 1):
+            with override():
+                bpy.ops.screen.region_quadview()
+            yield from rendered_views(count)
 
 
 def local_view(times: int) -> Iterator[float]:
     for _ in range(times):
         with override():
             bpy.ops.mesh.primitive_uv_sphere_add(location=(2, 0, 0))
-        yield 0.3
-        assert len(session().result.scene.meshes) == 2
-        with override():
-            bpy.ops.view3d.localview()
-        yield 0.7
-        assert [mesh.name for mesh in session().result.scene.meshes] == [bpy.context.object.name]
-        with override():
-            bpy.ops.view3d.localview()
-        yield 0.7
-        assert len(session().result.scene.meshes) == 2
+        name = bpy.context.object.name
+        yield from until(lambda name=name: shown_meshes() == {"Cube", name}, "The sphere is not there.")
+        for expected in ({name}, {"Cube", name}):
+            with override():
+                bpy.ops.view3d.localview()
+            yield 0.5  # Blender moves the view there
+            yield from until(lambda expected=expected: shown_meshes() == expected, "Local view shows something else.")
         bpy.data.objects.remove(bpy.context.object)
-        yield 0.2
+        yield from until(lambda: shown_meshes() == {"Cube"}, "The sphere is still there.")
 
 
 def playback(frames: int) -> Iterator[float]:
-    """History goes on from frame to frame, and only what is animated is exported."""
-    scene, cube = window().scene, bpy.data.objects["Cube"]
-    scene.frame_start, scene.frame_end = 1, frames
-    # Diffuse: a reflection does not move as its surface does, and soon forgets.
-    principled = cube.active_material.node_tree.nodes["Principled BSDF"] if cube.active_material else None
-    if principled:
-        principled.inputs["Specular IOR Level"].default_value = 0.0
+    """History goes on from frame to frame, and only what is animated is exported.
+
+    Twice. Matt, the cube keeps all the history that something gets that moves. Glossy, it keeps less: a reflection does
+    not move as its surface does, is given up where it differs from the new samples (specular_history_clamp), and of two
+    signals Frame.history_length tells the shorter one.
+    """
+    cube = bpy.data.objects["Cube"]
     for frame, x in ((1, -1.0), (frames, 1.0)):
         cube.location.x = x
         cube.keyframe_insert("location", frame=frame)
+    material = cube.active_material or bpy.data.materials.new("Cube")  # the cube may be a new one
+    cube.active_material = material
+    level = material.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"]
+    for level.default_value, kept in ((0.5, SHORTEST_OF_REFLECTIONS), (0.0, int(DenoiseSettings().history_frames))):
+        yield from play_animation(frames, kept)
+    level.default_value = 0.5
+    cube.animation_data_clear()
+    yield 0.2
+
+
+def play_animation(frames: int, kept: int) -> Iterator[float]:
+    """kept: frames that the longest history of a pixel has afterwards, if as many were rendered: Blender does not wait
+    for a frame that takes long."""
+    scene = window().scene
+    scene.frame_start, scene.frame_end = 1, frames
     scene.frame_set(1)
     yield 0.5
-    counters = session().counters
-    meshes, materials, lights, seen = counters.meshes, counters.materials, counters.lights, set()
+    before, restarts, shown = replace(session().counters), set(), set()
     with override():
         bpy.ops.screen.animation_play()
-    end, shown = time.monotonic() + 90, set()
+    end = time.monotonic() + 300
     while len(shown) < frames and time.monotonic() < end:
         yield 0.02
         shown.add(scene.frame_current)
-        seen.add(session().result.reset)
+        restarts.add(session().result.reset)
     with override():
         bpy.ops.screen.animation_cancel(restore_frame=False)
-    print(f"    frames {len(shown)}, restarts {seen}, {counters}")
-    assert (counters.meshes, counters.materials, counters.lights) == (meshes, materials, lights)
-    # Not each frame of Blender's is rendered where that takes longer. 20 frames: what is kept while something moves.
-    result = session().result
-    assert len(seen) == 1 and result.frame.history_length.max() >= min(result.frames, 20)
-    cube.animation_data_clear()
-    yield 0.2
+    result, counters = session().result, session().counters
+    longest = result.frame.history_length.max()
+    print(f"    {len(shown)} frames, {result.frames} rendered, history {longest:.0f}, restarts {restarts}, {counters}")
+    assert len(shown) == frames and len(restarts) == 1
+    assert longest >= min(result.frames, kept)
+    exports = counters.exports - before.exports
+    assert 0 < counters.instances - before.instances <= exports
+    # Blender says with each frame that the scene has changed, so all objects are looked at, and no mesh is read.
+    assert replace(counters, exports=before.exports, walks=before.walks, instances=before.instances) == before
 
 
 def engine_switch(times: int) -> Iterator[float]:
@@ -340,7 +380,7 @@ def final_render(times: int) -> Iterator[float]:
 def disable(times: int) -> Iterator[float]:
     for _ in range(times):
         svgf_blender.unregister()
-        assert not [thread for thread in threading.enumerate() if thread.name.startswith("svgf")]
+        assert not our_threads(), our_threads()
         space().shading.type = "SOLID"  # else Blender would draw with EEVEE, which takes its time and memory
         yield 0.1
         svgf_blender.register()

@@ -7,6 +7,7 @@ See window.py. Takes a folder for pictures.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +27,11 @@ def script() -> Iterator[float]:
     assert (counters.exports, counters.full, counters.meshes) == (1, 1, 1), counters
     assert session().result.reset == "first frame" and session().result.samples == 8
     yield from picture("cube")
+
+    drawn, used = session().result.number, time.process_time()
+    yield 2.0
+    assert session().result.number == session().drawn == drawn, "At its sample limit a view rests."
+    print(f"at rest: {time.process_time() - used:.2f} s of processors in 2 s")
 
     yield from orbit()
     assert session().counters.exports == 1, "Orbiting exports nothing."
@@ -74,6 +80,12 @@ def script() -> Iterator[float]:
     scene.svgf.viewport_overlay = "result"
     yield from settled()
     yield from picture("camera")
+    exports = counters.exports
+    for kind, said in (("PANO", ["panoramic cameras are not supported"]), ("PERSP", [])):
+        scene.camera.data.type = kind
+        yield 1.0
+        assert [finding.text.partition(" yet;")[0] for finding in session().findings] == said
+    assert counters.exports == exports, "What is wrong with the camera is known without an export."
     with override():
         bpy.ops.view3d.view_axis(type="TOP")
         bpy.ops.view3d.view_selected(use_all_regions=False)

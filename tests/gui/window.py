@@ -94,6 +94,14 @@ def settled(seconds: float = 60) -> Iterator[float]:
     assert not session().error, session().error
 
 
+def until(condition: Callable[[], bool], what: str, seconds: float = 60) -> Iterator[float]:
+    """Waits for something, however slow the machine is."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, what
+        yield _STEP_SECONDS
+
+
 def mouse(*command: str | int) -> None:
     """From outside, as a user does."""
     subprocess.run(["xdotool", *map(str, command)], check=True)

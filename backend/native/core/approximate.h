@@ -3,6 +3,11 @@
 // and 1/sqrt(x) 2^-22 relative, log2 2^-22 absolute between 1/2 and 2 and relative elsewhere, 1/x and sqrt 2^-23
 // relative.
 // Denormals count as 0. The host's are correctly rounded or nearly so.
+//
+// Shading divides and takes roots by these: exact ones are many instructions each, and those few that a kernel must get
+// right to the bit are written as / and std::sqrt. They are spelled out, not asked of the compiler by an option, so that
+// every kernel that covers a scene gives the same bits: what the compiler makes of approximate quotients depends on the
+// code around them.
 #pragma once
 
 #include <cmath>
@@ -39,6 +44,15 @@ SVGF_HD inline float fast_reciprocal(float x) {
     return y;
 #else
     return 1.0f / x;
+#endif
+}
+
+// Where |b| is in [2^-126, 2^126]; of smaller ones infinity, of larger ones 0. On the host as exact as a quotient is.
+SVGF_HD inline float fast_quotient(float a, float b) {
+#if defined(__CUDA_ARCH__)
+    return a * fast_reciprocal(b);
+#else
+    return a / b;
 #endif
 }
 

@@ -12,6 +12,7 @@
 // samples a pixel's squared error is 3 to 90 times that of these points, for analytic integrands.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/bits.h"
 #include "core/vec.h"
 
@@ -138,7 +139,7 @@ struct Frame {
 
     SVGF_HD explicit Frame(Vec3 axis) : z(axis) {
         const float sign = std::copysign(1.0f, axis.z);
-        const float a = -1.0f / (sign + axis.z);
+        const float a = -fast_reciprocal(sign + axis.z);
         const float b = axis.x * axis.y * a;
         x = {1.0f + sign * axis.x * axis.x * a, sign * b, -sign * axis.x};
         y = {b, sign + axis.y * axis.y * a, -axis.y};
@@ -165,27 +166,27 @@ SVGF_HD inline Vec2 sample_unit_disk(Vec2 u) {
     if (a == 0.0f && b == 0.0f) return {};
     const bool wide = std::fabs(a) > std::fabs(b);
     const float radius = wide ? a : b;
-    return point_on_circle(wide ? 0.25f * (b / a) : 0.5f - 0.25f * (a / b)) * radius;
+    return point_on_circle(wide ? 0.25f * fast_quotient(b, a) : 0.5f - 0.25f * fast_quotient(a, b)) * radius;
 }
 
 // Density cos / pi, around +z.
 SVGF_HD inline Vec3 sample_cosine_hemisphere(Vec2 u) {
     const Vec2 d = sample_unit_disk(u);
-    return {d.x, d.y, std::sqrt(max(0.0f, 1.0f - dot(d, d)))};
+    return {d.x, d.y, fast_sqrt(max(0.0f, 1.0f - dot(d, d)))};
 }
 
 // Uniform directions around +z within the cone of the given 1 - cosine; 2 is the whole sphere. Works with 1 - cos
 // throughout, so that a cone as narrow as the sun's keeps its precision.
 SVGF_HD inline Vec3 sample_cone(Vec2 u, float one_minus_cosine) {
     const float height = u.x * one_minus_cosine;
-    const float radius = std::sqrt(max(0.0f, height * (2.0f - height)));
+    const float radius = fast_sqrt(max(0.0f, height * (2.0f - height)));
     const Vec2 around = point_on_circle(2.0f * u.y) * radius;
     return {around.x, around.y, 1.0f - height};
 }
 
 // Weights of the two edges for a uniform point on a triangle: vertex + edge1 * x + edge2 * y.
 SVGF_HD inline Vec2 sample_triangle(Vec2 u) {
-    const float root = std::sqrt(u.x);
+    const float root = fast_sqrt(u.x);
     return {root * (1.0f - u.y), root * u.y};
 }
 
@@ -193,8 +194,8 @@ SVGF_HD inline Vec2 sample_triangle(Vec2 u) {
 // ratio is squared, not the densities: those overflow.
 SVGF_HD inline float power_heuristic(float own, float other) {
     if (!(own > 0.0f)) return 0.0f;
-    const float ratio = other / own;
-    return 1.0f / (1.0f + ratio * ratio);
+    const float ratio = fast_quotient(other, own);
+    return fast_reciprocal(1.0f + ratio * ratio);
 }
 
 }  // namespace svgf

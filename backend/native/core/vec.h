@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "core/approximate.h"
 #include "core/platform.h"
 
 namespace svgf {
@@ -83,22 +84,12 @@ SVGF_HD inline float multiply_add(float a, float b, float c) {
 #endif
 }
 
-// a / b to half a unit in the last place, and so 1 where they are the same. The tracer's kernels are compiled with
-// quotients that may be off by two units.
-SVGF_HD inline float exact_quotient(float a, float b) {
-#if defined(__CUDA_ARCH__)
-    return __fdiv_rn(a, b);
-#else
-    return a / b;
-#endif
-}
-
 SVGF_HD inline float dot(Vec2 a, Vec2 b) { return multiply_add(a.y, b.y, a.x * b.x); }
 SVGF_HD inline float dot(Vec3 a, Vec3 b) { return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x)); }
 SVGF_HD inline Vec3 cross(Vec3 a, Vec3 b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-SVGF_HD inline float length(Vec3 a) { return std::sqrt(dot(a, a)); }
+SVGF_HD inline float length(Vec3 a) { return fast_sqrt(dot(a, a)); }
 
 // a*b - c*d, right to about one rounding; the sign is always that of the exact result. The device has fused
 // multiply-adds but slow doubles, the host may have it the other way round.
@@ -117,10 +108,10 @@ SVGF_HD inline Vec3 accurate_cross(Vec3 a, Vec3 b) {
             difference_of_products(a.x, b.y, a.y, b.x)};
 }
 
-// The zero vector stays zero: callers test for it, nothing turns to NaN.
+// The zero vector stays zero, and so does what is too short for its square: callers test for it, nothing turns to NaN.
 SVGF_HD inline Vec3 normalize(Vec3 a) {
     const float squared = dot(a, a);
-    return squared > 0.0f ? a * (1.0f / std::sqrt(squared)) : Vec3{};
+    return squared >= std::numeric_limits<float>::min() ? a * fast_reciprocal_sqrt(squared) : Vec3{};
 }
 
 // Rec.709.

@@ -267,6 +267,7 @@ void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStora
     stage.hist_color = {resolved_.data()};
     stage.has_history = has_history_ && has_resolved_;
     stage.is_unchanged = inputs.is_unchanged;
+    stage.is_interactive = inputs.is_interactive;
     stage.in_motion = inputs.motion;
     stage.motion_channels = inputs.motion_channels;
     for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);

@@ -56,6 +56,7 @@ struct DenoiseInputs {
     int motion_channels = 3;                // 2: the expected previous depth is unknown
     const int32_t* object_id = nullptr;     // [H, W]; null: 1 where depth < 1e10
     bool is_unchanged = false;              // light, surfaces and camera, for as many frames as svgf+ takes to settle
+    bool is_interactive = false;            // someone works in the view: what stands still shows no noise meanwhile
     Vec4 window = default_window;           // left, right, bottom, top of the image on the plane one unit ahead
 
     // Blender's default camera on a square; eaw alone reads the window.

@@ -41,7 +41,8 @@ bool is_near(const Bounds& box, const Mat34& object_to_world) {
 }  // namespace
 
 void MergedObjects::update(Device& device, std::span<const std::shared_ptr<Mesh>> meshes,
-                           std::span<const Instance> instances, std::span<const Placement> placements) {
+                           std::span<const Instance> instances, std::span<const Placement> placements,
+                           std::span<const std::uint8_t> is_opaque) {
     std::vector<int> users(meshes.size());
     for (const Instance& instance : instances) ++users[std::size_t(instance.mesh)];
     Objects objects;
@@ -52,13 +53,14 @@ void MergedObjects::update(Device& device, std::span<const std::shared_ptr<Mesh>
             mesh->triangle_count() > 0 && !mesh->view().previous_positions &&
             is_same(object_to_world, placements[i].previous_object_to_world) &&
             is_near(mesh->bounds(), object_to_world))
-            objects[mesh.get()] = {mesh, object_to_world, std::int32_t(i)};
+            objects[mesh.get()] = {mesh, object_to_world, std::int32_t(i), is_opaque[i] != 0};
     }
 
     const auto find_still = [](const Objects& among, const Object& object) -> const Object* {
         const auto found = among.find(object.mesh.get());
-        return found != among.end() && is_same(found->second.object_to_world, object.object_to_world) ? &found->second
-                                                                                                      : nullptr;
+        const bool is_still = found != among.end() && found->second.is_opaque == object.is_opaque &&
+                              is_same(found->second.object_to_world, object.object_to_world);
+        return is_still ? &found->second : nullptr;
     };
     std::vector<std::int32_t> instance_of_member(members_.size(), -1);
     std::size_t held = 0, waiting = 0;
@@ -103,6 +105,7 @@ void MergedObjects::build(Device& device, const Objects& objects) {
     if (members_.empty()) return;
 
     std::vector<LeafTriangle> triangles(start.back());
+    std::vector<std::uint8_t> may_be_cut(start.back());
     for (std::size_t i = 0; i < members_.size(); ++i)
         device.download(triangles.data() + start[i], members_[i].mesh->view().triangles,
                         (start[i + 1] - start[i]) * sizeof(LeafTriangle));
@@ -114,9 +117,10 @@ void MergedObjects::build(Device& device, const Objects& objects) {
                     *vertex = to_world(members_[i].object_to_world, *vertex);
                 triangle.member = std::int32_t(i);
                 triangle.leaf_triangle = std::int32_t(t - start[i]);
+                may_be_cut[t] = members_[i].is_opaque;
             }
     });
-    mesh_ = std::make_shared<Mesh>(device, triangles);
+    mesh_ = std::make_shared<Mesh>(device, triangles, may_be_cut);
 }
 
 }  // namespace svgf

@@ -4,9 +4,10 @@
 // Sponza's 26 objects, all opaque, take an H200 1.10 instead of 1.28 ms, and one of them moves in 0.24 instead of 1.16
 // ms, as the tree over instances has little left in it.
 //
-// What moves, or changes, leaves the tree at once by a mark and is an instance like any other from then on: the tree is
-// built anew only when it holds less than what waits to enter it. Only rays visit it; a hit names the object's own
-// instance and triangle, and what is shaded is the object's own mesh.
+// Large triangles lie in it in parts. What moves, or lets light pass where it did not, leaves the tree at once by a mark
+// and is an instance like any other from then on: the tree is built anew only when it holds less than what waits to
+// enter it. Only rays visit it; a hit names the object's own instance and triangle, and what is shaded is the object's
+// own mesh.
 #pragma once
 
 #include <cstdint>
@@ -23,9 +24,10 @@ namespace svgf {
 
 class MergedObjects {
 public:
-    // meshes, instances, placements: of a frame, as in SceneView.
+    // meshes, instances, placements: of a frame, as in SceneView. is_opaque: of each instance, 1 where no light passes it
+    // straight, else 0; only such an object's triangles may be cut (scene/triangle_parts.h).
     void update(Device& device, std::span<const std::shared_ptr<Mesh>> meshes, std::span<const Instance> instances,
-                std::span<const Placement> placements);
+                std::span<const Placement> placements, std::span<const std::uint8_t> is_opaque);
 
     // Whether rays have anything to find in the tree, whose triangles name members.
     bool has_members() const { return has_members_; }
@@ -40,6 +42,7 @@ private:
         std::shared_ptr<Mesh> mesh;
         Mat34 object_to_world;
         std::int32_t instance;
+        bool is_opaque;
     };
     // By mesh: each has one only.
     using Objects = std::unordered_map<const Mesh*, Object>;

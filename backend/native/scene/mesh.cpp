@@ -8,6 +8,8 @@
 #include "core/host_buffer.h"
 #include "device/threads.h"
 #include "scene/hittable.h"
+#include "scene/refit.h"
+#include "scene/triangle_parts.h"
 
 namespace svgf {
 namespace {
@@ -174,18 +176,12 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     }
 }
 
-Mesh::Mesh(Device& device, std::span<const LeafTriangle> triangles) {
-    HostBuffer<Bounds> boxes(triangles.size());
-    parallel_for(triangles.size(), [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) {
-            boxes[i] = {};
-            for (const Vec3& p : {triangles[i].vertex0, triangles[i].vertex1, triangles[i].vertex2}) boxes[i].add(p);
-        }
-    });
-    const Bvh bvh = build_bvh(boxes, max_leaf_size);
+Mesh::Mesh(Device& device, std::span<const LeafTriangle> triangles, std::span<const std::uint8_t> may_be_cut) {
+    const TriangleParts parts = cut_triangles(triangles, may_be_cut);
+    const Bvh bvh = build_bvh(parts.boxes, max_leaf_size);
     HostBuffer<LeafTriangle> in_order(bvh.primitives.size());
     parallel_for(in_order.size(), [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) in_order[i] = triangles[bvh.primitives[i]];
+        for (std::size_t i = begin; i < end; ++i) in_order[i] = triangles[parts.triangles[bvh.primitives[i]]];
     });
     set_tree(device, bvh, in_order);
 }
@@ -214,8 +210,7 @@ std::size_t Mesh::bytes() const {
         nodes_.bytes() + triangles_.bytes() + normals_.bytes() + uvs_.bytes() + tangents_.bytes() +
         previous_positions_.bytes();
     if (refit_)
-        bytes += refit_->vertices.bytes() + refit_->bounds.bytes() + refit_->cost.bytes() + refit_->levels.bytes() +
-                 refit_->left_out.bytes();
+        bytes += refit_->vertices.bytes() + refit_->extents.bytes() + refit_->levels.bytes() + refit_->left_out.bytes();
     return bytes;
 }
 

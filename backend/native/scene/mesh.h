@@ -13,6 +13,8 @@
 
 namespace svgf {
 
+struct NodeExtent;  // scene/refit.h
+
 // The geometry of one mesh on the device, with its tree.
 //
 // What lies far from its own origin is moved towards it by `centre`, so that it keeps its digits in every product; an
@@ -36,8 +38,8 @@ public:
 
     // Throws InputError if the lengths do not fit together.
     Mesh(Device& device, const Arrays& arrays);
-    // A tree for rays alone.
-    Mesh(Device& device, std::span<const LeafTriangle> triangles);
+    // A tree for rays alone, in which triangles may be several times. may_be_cut: as in scene/triangle_parts.h.
+    Mesh(Device& device, std::span<const LeafTriangle> triangles, std::span<const std::uint8_t> may_be_cut);
 
     // Moves the vertices of a mesh that was made with previous positions, on the device: the same triangles with the
     // same slots and UVs, whose tree keeps its shape. Returns false where that cannot be or does not pay; the mesh is
@@ -60,8 +62,7 @@ private:
               std::span<const std::int32_t> left_out, Mesh& mesh);
 
         Buffer<std::int32_t> vertices;  // [T, 3]
-        Buffer<Bounds> bounds;          // of each node
-        Buffer<float> cost;
+        Buffer<NodeExtent> extents;     // of each node
         Buffer<std::int32_t> left_out;  // triangles that cannot be hit
         Buffer<std::uint32_t> levels;   // nodes, level by level
         std::vector<int> level_starts;

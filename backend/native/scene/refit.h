@@ -59,13 +59,18 @@ struct RefitLeftOutStage {
     }
 };
 
+// Of a node what the level above it needs to know.
+struct NodeExtent {
+    Bounds bounds;
+    float cost = 0;  // areas of all children in its subtree, times their triangles where they are leaves
+};
+
 // The nodes of one level; those below are done.
 struct RefitNodesStage {
     const std::uint32_t* in_level;  // nodes of this level
     const LeafTriangle* in_triangles;
     WideNode* nodes;
-    Bounds* bounds;   // of each node
-    float* out_cost;  // of each node: areas of its children, times their triangles where they are leaves
+    NodeExtent* extents;  // of each node
 
     SVGF_HD void operator()(int i) const {
         const std::uint32_t index = in_level[i];
@@ -78,7 +83,9 @@ struct RefitNodesStage {
             if (slot == 0) continue;
             float weight = 1;
             if (WideNode::is_inner(slot)) {
-                child[s] = bounds[node.first_child + inner++];
+                const NodeExtent& extent = extents[node.first_child + inner++];
+                child[s] = extent.bounds;
+                cost += extent.cost;
             } else {
                 weight = float(WideNode::count_of(slot));
                 for (std::uint32_t k = 0; k < WideNode::count_of(slot); ++k) {
@@ -93,8 +100,7 @@ struct RefitNodesStage {
         }
         node.set_boxes(box, child);
         nodes[index] = node;
-        bounds[index] = box;
-        out_cost[index] = cost;
+        extents[index] = {box, cost};
     }
 };
 

@@ -42,9 +42,8 @@ struct BsdfValue {
     SVGF_HD Vec3 diffuse_share() const {
         const Vec3 sum = total();
         // Exactly 1 where nothing is specular: the specular signal is then 0, as is its albedo.
-        return {sum.x > 0.0f ? exact_quotient(diffuse.x, sum.x) : 0.0f,
-                sum.y > 0.0f ? exact_quotient(diffuse.y, sum.y) : 0.0f,
-                sum.z > 0.0f ? exact_quotient(diffuse.z, sum.z) : 0.0f};
+        return {sum.x > 0.0f ? diffuse.x / sum.x : 0.0f, sum.y > 0.0f ? diffuse.y / sum.y : 0.0f,
+                sum.z > 0.0f ? diffuse.z / sum.z : 0.0f};
     }
 };
 
@@ -191,7 +190,7 @@ private:
     SVGF_HD static Vec3 turned(Vec3 v, Vec3 view, float sense) {
         const float squared = view.x * view.x + view.y * view.y;
         if (!(squared > 1e-16f)) return v;
-        const float scale = 1.0f / std::sqrt(squared), c = view.x * scale, s = view.y * scale * sense;
+        const float scale = fast_reciprocal_sqrt(squared), c = view.x * scale, s = view.y * scale * sense;
         return {c * v.x + s * v.y, c * v.y - s * v.x, v.z};
     }
 

@@ -41,7 +41,7 @@ SVGF_HD inline void Bsdf<kernel>::add_diffuse(Vec3 light, float side, Vec3 world
                                    light.z);
     if (above != transmits_diffuse_) {
         const float cosine = std::fabs(light.z);
-        value.pdf = diffuse_probability_ * (cosine / pi);
+        value.pdf = diffuse_probability_ * (cosine * (1.0f / pi));
         if constexpr (has_specular)
             value.diffuse = diffuse_ * oren_nayar_.evaluate(view.z, cosine, dot(view, light)) * cosine;
         else
@@ -71,10 +71,10 @@ SVGF_HD inline void Bsdf<kernel>::add_reflection(Vec3 light, BsdfValue& value) c
         const Alpha alpha = is_coat ? coat_alpha_ : is_glass ? glass_alpha_ : alpha_;
         const bool is_smooth = alpha.is_smooth();
         if (is_smooth) continue;
-        const float spread = ggx_density(half, alpha) / (4.0f * view_.z);
+        const float spread = fast_quotient(ggx_density(half, alpha), 4.0f * view_.z);
         const float view_masking = ggx_masking(view_, alpha);
-        const float shadowed = spread * 2.0f / (view_masking + ggx_masking(light, alpha));
-        const float masked = spread * 2.0f / (1.0f + view_masking);
+        const float shadowed = fast_quotient(spread * 2.0f, view_masking + ggx_masking(light, alpha));
+        const float masked = fast_quotient(spread * 2.0f, 1.0f + view_masking);
         if (is_coat) {
             if constexpr (has_coat) {
                 value.specular += coat_at(cos_half_view) * shadowed;
@@ -103,11 +103,12 @@ SVGF_HD inline void Bsdf<kernel>::add_tilted_coat(Vec3 world_light, BsdfValue& v
     const Vec3 coat_view = frame.to_local(frame_.to_world(view_)), coat_light = frame.to_local(world_light);
     if (!(coat_view.z > 0.0f && coat_light.z > 0.0f)) return;
     const Vec3 half = normalize(coat_view + coat_light);
-    const float spread = ggx_density(half, coat_alpha_) / (4.0f * coat_view.z);
+    const float spread = fast_quotient(ggx_density(half, coat_alpha_), 4.0f * coat_view.z);
     const float view_masking = ggx_masking(coat_view, coat_alpha_);
     value.specular +=
-        coat_at(dot(coat_view, half)) * (spread * 2.0f / (view_masking + ggx_masking(coat_light, coat_alpha_)));
-    value.pdf += coat_probability_ * (spread * 2.0f / (1.0f + view_masking));
+        coat_at(dot(coat_view, half)) *
+        fast_quotient(spread * 2.0f, view_masking + ggx_masking(coat_light, coat_alpha_));
+    value.pdf += coat_probability_ * fast_quotient(spread * 2.0f, 1.0f + view_masking);
 }
 
 // Microfacets refract light to view [Walter07, Eq. 21]. The Jacobian's (VH + eta LH)^2 is the squared length of
@@ -120,13 +121,13 @@ SVGF_HD inline void Bsdf<kernel>::add_refraction(Vec3 light, BsdfValue& value) c
     if (half.z < 0.0f) half = -half;
     const float cos_half_view = dot(view_, half), cos_half_light = dot(light, half);
     if (!(squared > 0.0f && cos_half_view > 0.0f && cos_half_light < 0.0f)) return;
-    const float jacobian = glass_eta_ * glass_eta_ * -cos_half_light / squared;
-    const float spread = ggx_density(half, glass_alpha_) * cos_half_view / view_.z * jacobian;
+    const float jacobian = fast_quotient(glass_eta_ * glass_eta_ * -cos_half_light, squared);
+    const float spread = fast_quotient(ggx_density(half, glass_alpha_) * cos_half_view, view_.z) * jacobian;
     const GlassEvents events = glass_at(cos_half_view);
     const float view_masking = ggx_masking(view_, glass_alpha_);
     value.specular += glass_ * events.transmittance *
-                     (spread * 2.0f / (view_masking + ggx_masking(light, glass_alpha_)));
-    value.pdf += glass_probability_ * (1.0f - events.chance) * spread * 2.0f / (1.0f + view_masking);
+                     fast_quotient(spread * 2.0f, view_masking + ggx_masking(light, glass_alpha_));
+    value.pdf += glass_probability_ * (1.0f - events.chance) * fast_quotient(spread * 2.0f, 1.0f + view_masking);
 }
 
 }  // namespace svgf

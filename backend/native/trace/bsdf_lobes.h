@@ -70,11 +70,13 @@ SVGF_HD inline void Bsdf<kernel>::find_lobes(const float* tables, const Surface&
     const float specular_sum = luminance(specular), glass_sum = luminance(glass);
     const float sum = diffuse_sum + sheen_sum + specular_sum + coat_sum + glass_sum;
     if (sum > 0.0f) {
+        const float inverse = fast_reciprocal(sum);
+        // Exactly 1 where nothing else is.
         diffuse_probability_ = diffuse_sum / sum;
-        sheen_probability_ = sheen_sum / sum;
-        specular_probability_ = specular_sum / sum;
-        coat_probability_ = coat_sum / sum;
-        glass_probability_ = glass_sum / sum;
+        sheen_probability_ = sheen_sum * inverse;
+        specular_probability_ = specular_sum * inverse;
+        coat_probability_ = coat_sum * inverse;
+        glass_probability_ = glass_sum * inverse;
     }
 }
 
@@ -82,7 +84,7 @@ SVGF_HD inline void Bsdf<kernel>::find_lobes(const float* tables, const Surface&
 template <Effects kernel>
 SVGF_HD inline auto Bsdf<kernel>::find_specular_energy(const float* tables, const Material& material) const
     -> SpecularEnergy {
-    SpecularEnergy table{std::sqrt(std::sqrt(alpha_.x * alpha_.y))};
+    SpecularEnergy table{fast_sqrt(fast_sqrt(alpha_.x * alpha_.y))};
     if (material.kind == MaterialKind::principled || material.kind == MaterialKind::glossy) {
         table.energy = look_up_albedo(tables, energy_table, table.roughness, view_.z);
         table.mean_energy = look_up_albedo(tables, mean_energy_table, table.roughness);
@@ -101,7 +103,7 @@ SVGF_HD inline Vec3 Bsdf<kernel>::find_metal(const float* tables, const Material
     // Schlick's term at 82 degrees, where the tint is what remains of it.
     constexpr float x = 6.0f / 7.0f, x5 = x * x * x * x * x;
     if (!is_glossy) metal_dip_ = lerp(base, {1, 1, 1}, x5) * (1.0f - material.specular_tint) * (7.0f / (x5 * x));
-    const Vec3 mean = lerp(metal_f0_, metal_f90_, 1.0f / 21.0f) - metal_dip_ / 126.0f;
+    const Vec3 mean = lerp(metal_f0_, metal_f90_, 1.0f / 21.0f) - metal_dip_ * (1.0f / 126.0f);
     metal_ = weight;
     if (material.multiscatter > 0.0f) metal_ *= given_back(table.energy, table.mean_energy, mean);
     const float s = look_up_albedo(tables, schlick_table, table.roughness, view_.z), c = saturate(view_.z);
@@ -118,14 +120,14 @@ SVGF_HD inline Vec3 Bsdf<kernel>::find_plastic(const float* tables, const Materi
     const float f0 = normal_reflectance(material.ior) * 2.0f * material.specular_ior_level;
     plastic_eta_ = material.ior;
     if (material.specular_ior_level != 0.5f) {
-        const float root = std::sqrt(min(f0, largest_f0));
-        plastic_eta_ = (1.0f + root) / (1.0f - root);
+        const float root = fast_sqrt(min(f0, largest_f0));
+        plastic_eta_ = fast_quotient(1.0f + root, 1.0f - root);
         if (material.ior < 1.0f) plastic_eta_ = 1.0f / plastic_eta_;
     }
     if (!(plastic_eta_ != 1.0f && f0 > 0.0f)) return {};
     plastic_f0_ = min(material.specular_tint * f0, Vec3{1, 1, 1});
     const float real_f0 = normal_reflectance(plastic_eta_);
-    const float mean = saturate((dielectric_mean(plastic_eta_) - real_f0) / (1.0f - real_f0));
+    const float mean = saturate(fast_quotient(dielectric_mean(plastic_eta_) - real_f0, 1.0f - real_f0));
     Vec3 factor{1, 1, 1};
     if (gives_back) factor = given_back(table.energy, table.mean_energy, lerp(plastic_f0_, {1, 1, 1}, mean));
     const float s = dielectric_share(tables, table.roughness, view_.z, plastic_eta_);
@@ -147,7 +149,7 @@ SVGF_HD inline Vec3 Bsdf<kernel>::find_glass(const float* tables, const Material
     glass_alpha_ = {square(material.roughness), square(material.roughness)};
     const float f0 = normal_reflectance(material.ior);
     glass_f0_ = is_principled ? material.specular_tint * f0 : Vec3{f0, f0, f0};
-    transmission_tint_ = is_principled ? Vec3{std::sqrt(base.x), std::sqrt(base.y), std::sqrt(base.z)} : base;
+    transmission_tint_ = is_principled ? Vec3{fast_sqrt(base.x), fast_sqrt(base.y), fast_sqrt(base.z)} : base;
     refracts_only_ = material.kind == MaterialKind::refraction;
     reflection_tint_ = material.kind == MaterialKind::glass ? base : Vec3{1, 1, 1};
     glass_ = weight;
@@ -179,12 +181,12 @@ SVGF_HD inline Alpha Bsdf<kernel>::find_alpha(const Material& material) {
     if constexpr (has_anisotropy) {
         if (material.kind == MaterialKind::glossy) {
             const float ratio = 1.0f - min(std::fabs(material.anisotropic), 0.99f);
-            const float narrow = alpha * ratio, wide = min(alpha / ratio, 1.0f);
+            const float narrow = alpha * ratio, wide = min(fast_quotient(alpha, ratio), 1.0f);
             return material.anisotropic < 0.0f ? Alpha{wide, narrow} : Alpha{narrow, wide};
         }
         if (material.kind == MaterialKind::principled) {
-            const float aspect = std::sqrt(1.0f - saturate(material.anisotropic) * 0.9f);
-            return {min(alpha / aspect, 1.0f), alpha * aspect};
+            const float aspect = fast_sqrt(1.0f - saturate(material.anisotropic) * 0.9f);
+            return {min(fast_quotient(alpha, aspect), 1.0f), alpha * aspect};
         }
     }
     return {alpha, alpha};

@@ -40,21 +40,22 @@ SVGF_HD inline auto Bsdf<kernel>::choose_event(Vec2 u, float lobe) const -> Even
         const Vec3 reflected = smooth ? mirrored() : reflect(view_, half);
         if (is_specular)
             return {BsdfEvent::glossy, reflected, above_surface, smooth,
-                    specular_at(view_.z) / specular_probability_};
+                    specular_at(view_.z) * fast_reciprocal(specular_probability_)};
         if constexpr (has_tilted_coats)
             if (is_coat && coat_is_tilted()) return choose_tilted_coat(u);
         if constexpr (has_coat)
             if (is_coat)
-                return {BsdfEvent::glossy, reflected, above_surface, smooth, coat_at(view_.z) / coat_probability_};
+                return {BsdfEvent::glossy, reflected, above_surface, smooth,
+                        coat_at(view_.z) * fast_reciprocal(coat_probability_)};
         if constexpr (has_transmission) {
             const float cos_half_view = dot(view_, half);
             const GlassEvents events = glass_at(cos_half_view);
             if (rest < events.chance * glass_probability_)
                 return {BsdfEvent::glossy, reflected, above_surface, smooth,
-                        glass_ * events.reflectance / (events.chance * glass_probability_)};
+                        glass_ * events.reflectance * fast_reciprocal(events.chance * glass_probability_)};
             const Vec3 light = glass_eta_ == 1.0f ? -view_ : refract(view_, half, glass_eta_);
             return {BsdfEvent::transmission, light, below_surface, smooth,
-                    glass_ * events.transmittance / ((1.0f - events.chance) * glass_probability_)};
+                    glass_ * events.transmittance * fast_reciprocal((1.0f - events.chance) * glass_probability_)};
         }
     }
     return {};
@@ -76,7 +77,7 @@ SVGF_HD inline auto Bsdf<kernel>::choose_tilted_coat(Vec2 u) const -> Event {
     const Vec3 light = reflect(coat_view, half);
     if (!(coat_view.z > 0.0f && light.z > 0.0f)) return {};
     return {BsdfEvent::glossy, frame_.to_local(frame.to_world(light)), above_surface, smooth,
-            coat_at(coat_view.z) / coat_probability_, true};
+            coat_at(coat_view.z) * fast_reciprocal(coat_probability_), true};
 }
 
 // A microfacet may send light to the wrong side. That light is lost: evaluated there, it would pass for what the
@@ -93,8 +94,9 @@ SVGF_HD inline BsdfSample Bsdf<kernel>::finish(const Event& event) const {
         result.weight = {};
         return result;
     }
-    result.weight.diffuse = result.weight.diffuse / result.weight.pdf;
-    result.weight.specular = result.weight.specular / result.weight.pdf;
+    const float inverse = fast_reciprocal(result.weight.pdf);
+    result.weight.diffuse *= inverse;
+    result.weight.specular *= inverse;
     result.event = event.kind;
     return result;
 }

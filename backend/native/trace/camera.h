@@ -2,6 +2,7 @@
 // Cameras: image points to rays and back.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/sampling.h"
 #include "core/vec.h"
 #include "trace/intersect.h"
@@ -105,7 +106,7 @@ struct Camera {
     // ds = -s (n dd) / (n d); of an orthographic one only o, ds = -(n do) / (n d).
     SVGF_HD Vec2 depth_gradient(Vec2 point, float depth, Vec3 normal) const {
         const Vec3 n = to_camera(normal);
-        const float scale = -(is_orthographic ? 1.0f : depth) / dot(n, local_direction(point));
+        const float scale = fast_quotient(is_orthographic ? -1.0f : -depth, dot(n, local_direction(point)));
         return {n.x * ((right - left) / float(width)) * scale, n.y * ((bottom - top) / float(height)) * scale};
     }
 

@@ -3,6 +3,7 @@
 // strength is that of Cycles: it holds one factor of the colour more than [Portsmouth25, Eq. 20].
 #pragma once
 
+#include "core/approximate.h"
 #include "core/vec.h"
 
 namespace svgf {
@@ -18,11 +19,13 @@ struct OrenNayar {
     OrenNayar() = default;
     SVGF_HD OrenNayar(float roughness, float cos_view, Vec3 color) {
         if (roughness < smallest_roughness) return;
-        a = 1.0f / (pi + roughness * (pi / 2.0f - 2.0f / 3.0f));
+        a = fast_reciprocal(pi + roughness * (pi / 2.0f - 2.0f / 3.0f));
         b = roughness * a;
-        const float mean = a * pi + (2.0f * pi - 5.6f) / 3.0f * b, rest = 1.0f - mean;
+        const float mean = a * pi + ((2.0f * pi - 5.6f) / 3.0f) * b, rest = 1.0f - mean;
         const float view = a * pi + b * loss(cos_view);
-        multiple = color * color / (1.0f - color * rest) * (mean / rest * (1.0f - view) / pi);
+        const Vec3 left = 1.0f - color * rest;
+        multiple = color * color * Vec3{fast_reciprocal(left.x), fast_reciprocal(left.y), fast_reciprocal(left.z)} *
+                   (fast_quotient(mean, rest) * (1.0f - view) * (1.0f / pi));
         albedo = multiple * (pi * rest) + view;
     }
 
@@ -30,7 +33,7 @@ struct OrenNayar {
     SVGF_HD Vec3 evaluate(float cos_view, float cos_light, float cos_between) const {
         if (!(b > 0.0f)) return {a, a, a};
         float t = cos_between - cos_light * max(cos_view, 0.0f);
-        if (t > 0.0f) t /= max(max(cos_light, cos_view), 1e-30f);
+        if (t > 0.0f) t = fast_quotient(t, max(max(cos_light, cos_view), 1e-30f));
         return multiple * (1.0f - (a * pi + b * loss(cos_light))) + (a + b * t);
     }
 
@@ -39,8 +42,8 @@ private:
     SVGF_HD static float loss(float cosine) {
         const float c = saturate(cosine);
         if (c < 1e-6f) return pi / 2.0f - 2.0f / 3.0f - c;
-        const float s = std::sqrt(1.0f - c * c);
-        return s * (std::acos(c) - 2.0f / 3.0f - s * c) + 2.0f / 3.0f * (s / c) * (1.0f - s * s * s);
+        const float s = fast_sqrt(1.0f - c * c);
+        return s * (std::acos(c) - 2.0f / 3.0f - s * c) + 2.0f / 3.0f * fast_quotient(s, c) * (1.0f - s * s * s);
     }
 };
 

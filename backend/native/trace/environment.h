@@ -6,6 +6,7 @@
 // anyway is not sampled twice.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/vec.h"
 #include "scene/flat_scene.h"
 #include "trace/texture.h"
@@ -41,7 +42,7 @@ SVGF_HD inline int choose_interval(const float* cdf, int count, float& u) {
         left -= half;
     }
     const float width = cdf[low + 1] - cdf[low];
-    u = width > 0.0f ? clamp((u - cdf[low]) / width, 0.0f, 0x1.fffffep-1f) : 0.0f;
+    u = width > 0.0f ? clamp(fast_quotient(u - cdf[low], width), 0.0f, 0x1.fffffep-1f) : 0.0f;
     return low;
 }
 
@@ -50,7 +51,7 @@ SVGF_HD inline float environment_cell_density(const WorldView& world, int row, i
     const float* columns = world.column_cdf + row * (world.columns + 1);
     const float probability = (world.row_cdf[row + 1] - world.row_cdf[row]) * (columns[column + 1] - columns[column]);
     const float cells = float(world.rows) * float(world.columns);
-    return cos_elevation > 0.0f ? probability * cells / (2.0f * pi * pi * cos_elevation) : 0.0f;
+    return cos_elevation > 0.0f ? fast_quotient(probability * cells, 2.0f * pi * pi * cos_elevation) : 0.0f;
 }
 
 // With which sample_environment finds a unit direction.

@@ -166,6 +166,18 @@ SVGF_HD inline FourFloats expand_bytes(std::uint32_t bytes) {
 #endif
 }
 
+// The bits that slot `i` of four sets in the hit mask: WideNode says how. The device shifts by the lowest five bits of a
+// number.
+SVGF_HD inline std::uint32_t mask_bits(std::uint32_t slots, int i) {
+#if defined(__CUDA_ARCH__)
+    const std::uint32_t slot = __byte_perm(slots, 0, 0x4440 + i);
+    return __funnelshift_l(0, slot >> 5, slot);
+#else
+    const std::uint32_t slot = (slots >> (8 * i)) & 0xffu;
+    return (slot >> 5) << (slot & 31u);
+#endif
+}
+
 // The children whose boxes the ray meets within [t_min, t_max]: their bits as WideNode describes them, those of inner
 // children at inner_bit + (slot ^ octant), so that the nearest has the highest.
 //
@@ -192,8 +204,7 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
         // Four slots at once: only the shifts of inner children have both of their highest bits set.
         const std::uint32_t slots = node.slot[half];
         const std::uint32_t inner = (slots >> 4) & (slots >> 3) & 0x01010101u;
-        const std::uint32_t shifts = (slots ^ (inner * ray.octant)) & 0x1f1f1f1fu;
-        const std::uint32_t children = (slots >> 5) & 0x07070707u;
+        const std::uint32_t bytes = slots ^ (inner * ray.octant);
         SVGF_UNROLL
         for (int i = 0; i < 4; ++i) {
             const Vec3 near{multiply_add(near_x.value[i], scale.x, near_start.x),
@@ -202,8 +213,8 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
             const Vec3 far{multiply_add(far_x.value[i], scale.x, far_start.x),
                            multiply_add(far_y.value[i], scale.y, far_start.y),
                            multiply_add(far_z.value[i], scale.z, far_start.z)};
-            if (overlap(near, t_min, far, t_max))
-                mask |= ((children >> (8 * i)) & 0xffu) << ((shifts >> (8 * i)) & 0xffu);
+            const std::uint32_t bits = mask_bits(bytes, i);
+            if (overlap(near, t_min, far, t_max)) mask |= bits;
         }
     }
     return mask;
@@ -241,31 +252,49 @@ struct StackMemory {
 // What a ray has still to visit. All traversals of a kernel use the same shared memory, one after the other.
 class TraversalStack {
 public:
-    SVGF_HD explicit TraversalStack(StackMemory& memory) : groups_(memory.groups) {}
+    SVGF_HD explicit TraversalStack(StackMemory& memory) : groups_(memory.groups) {
+#if defined(__CUDA_ARCH__)
+        __shared__ uint2 entries[shared_stack_entries][shared_stack_threads];
+        const int thread = int(threadIdx.y * blockDim.x + threadIdx.x);
+        const unsigned address = unsigned(__cvta_generic_to_shared(&entries[0][thread]));
+        // From the thread itself, as what comes from another one the compiler keeps: else it works the address out at
+        // each access, which takes Sponza's rays 3 % longer.
+        shared_ = __shfl_sync(__activemask(), address, thread & 31);
+#endif
+    }
 
     SVGF_HD bool is_empty() const { return size_ == 0; }
     SVGF_HD int size() const { return size_; }
 
     SVGF_HD void push(NodeGroup group) {
         if (size_ < shared_stack_entries)
-            shared(size_) = group;
+            store_shared(group);
         else
             groups_[size_ - shared_stack_entries] = group;
         ++size_;
     }
     SVGF_HD NodeGroup pop() {
         --size_;
-        return size_ < shared_stack_entries ? shared(size_) : groups_[size_ - shared_stack_entries];
+        return size_ < shared_stack_entries ? load_shared() : groups_[size_ - shared_stack_entries];
     }
 
 private:
+    // The entry on top, in shared memory.
 #if defined(__CUDA_ARCH__)
-    static __device__ NodeGroup& shared(int entry) {
-        __shared__ uint2 entries[shared_stack_entries][shared_stack_threads];
-        return reinterpret_cast<NodeGroup&>(entries[entry][threadIdx.y * blockDim.x + threadIdx.x]);
+    __device__ unsigned top() const { return shared_ + unsigned(size_ * shared_stack_threads) * 8u; }
+    __device__ void store_shared(NodeGroup group) const {
+        asm volatile("st.shared.v2.u32 [%0], {%1, %2};" ::"r"(top()), "r"(group.first), "r"(group.bits) : "memory");
     }
+    __device__ NodeGroup load_shared() const {
+        NodeGroup group;
+        asm volatile("ld.shared.v2.u32 {%0, %1}, [%2];" : "=r"(group.first), "=r"(group.bits) : "r"(top()) : "memory");
+        return group;
+    }
+
+    unsigned shared_;  // address of the thread's first entry
 #else
-    NodeGroup& shared(int) { return groups_[0]; }  // never called
+    void store_shared(NodeGroup) const {}  // never called
+    NodeGroup load_shared() const { return {}; }
 #endif
 
     NodeGroup* groups_;

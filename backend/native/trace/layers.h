@@ -16,9 +16,9 @@ struct Sheen {
     Sheen() = default;
     SVGF_HD Sheen(const float* tables, float cos_view, float roughness) {
         const float x = saturate(cos_view), y = clamp(roughness, smallest_roughness, 1.0f);
-        a = (2.58126f * x + 0.813703f * y) * y / (1.0f + 0.310327f * x * x + 2.60994f * x * y);
-        b = std::sqrt(1.0f - x) * (y - 1.0f) * y * y * y /
-            (0.0000254053f + 1.71228f * x - 1.71506f * x * y + 1.34174f * y * y);
+        a = fast_quotient((2.58126f * x + 0.813703f * y) * y, 1.0f + 0.310327f * x * x + 2.60994f * x * y);
+        b = fast_quotient(fast_sqrt(1.0f - x) * (y - 1.0f) * y * y * y,
+                          0.0000254053f + 1.71228f * x - 1.71506f * x * y + 1.34174f * y * y);
         albedo = look_up_albedo(tables, sheen_table, roughness, cos_view);
     }
 
@@ -26,7 +26,7 @@ struct Sheen {
     // azimuth.
     SVGF_HD float density(Vec3 light) const {
         const float squared = square(a * light.x + b * light.z) + square(a * light.y) + square(light.z);
-        return max(light.z, 0.0f) / pi * square(a / max(squared, 1e-30f));
+        return max(light.z, 0.0f) * (1.0f / pi) * square(fast_quotient(a, max(squared, 1e-30f)));
     }
 
     SVGF_HD Vec3 sample(Vec2 u) const {
@@ -77,8 +77,9 @@ struct Layers {
                 coat_albedo = coat_weight * energy * single;
                 const float passed = saturate(1.0f - material.coat_weight * factor * energy * single);
                 // Beer's law along the refracted ray; the tint is that of a ray along the normal.
-                const float inside = std::sqrt(1.0f - (1.0f - square(saturate(cos_coat))) / square(coat_eta));
-                const float depth = 1.0f / max(inside, 1e-6f);
+                const float sine_squared = fast_quotient(1.0f - square(saturate(cos_coat)), square(coat_eta));
+                const float inside = fast_sqrt(1.0f - sine_squared);
+                const float depth = fast_reciprocal(max(inside, 1e-6f));
                 const Vec3 absorbed{std::pow(material.coat_tint.x, depth), std::pow(material.coat_tint.y, depth),
                                     std::pow(material.coat_tint.z, depth)};
                 below = below * passed * lerp({1, 1, 1}, absorbed, material.coat_weight);

@@ -6,6 +6,7 @@
 // its only direction.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/effects.h"
 #include "core/sampling.h"
 #include "core/vec.h"
@@ -64,17 +65,17 @@ SVGF_HD float choice_probability(const LightsView& lights, const Light& light, V
 // 1 - cosine of half the angle under which a sphere is seen; from within 2, all directions. Without the difference.
 SVGF_HD inline float sphere_cone(float radius, float distance_squared) {
     if (distance_squared <= radius * radius) return 2.0f;
-    const float sine_squared = radius * radius / distance_squared;
-    return sine_squared / (1.0f + std::sqrt(max(0.0f, 1.0f - sine_squared)));
+    const float sine_squared = fast_quotient(radius * radius, distance_squared);
+    return fast_quotient(sine_squared, 1.0f + fast_sqrt(max(0.0f, 1.0f - sine_squared)));
 }
 
-SVGF_HD inline float sun_cone(const Light& sun) { return sun.size.x * sun.size.x / (1.0f + sun.size.y); }
+SVGF_HD inline float sun_cone(const Light& sun) { return fast_quotient(sun.size.x * sun.size.x, 1.0f + sun.size.y); }
 
-SVGF_HD inline float cone_density(float one_minus_cosine) { return 1.0f / (2.0f * pi * one_minus_cosine); }
+SVGF_HD inline float cone_density(float one_minus_cosine) { return fast_reciprocal(2.0f * pi * one_minus_cosine); }
 
 // Of a disk that faces the point from which it is seen at this distance; cosine: of the direction with its axis.
 SVGF_HD inline float disk_density(float distance, float cosine, float radius) {
-    return distance * distance / (cosine * pi * radius * radius);
+    return fast_quotient(distance * distance, cosine * pi * radius * radius);
 }
 
 // Where a ray enters a sphere, or leaves it from within. One that passes by: the point closest to the centre, and
@@ -83,7 +84,7 @@ SVGF_HD inline float sphere_distance(Vec3 to_centre, Vec3 direction, float radiu
     const float along = dot(to_centre, direction);
     const Vec3 beside = to_centre - direction * along;
     const float half_chord_squared = radius * radius - dot(beside, beside);
-    const float half_chord = std::sqrt(max(half_chord_squared, 0.0f));
+    const float half_chord = fast_sqrt(max(half_chord_squared, 0.0f));
     misses = !(half_chord_squared >= 0.0f);
     return dot(to_centre, to_centre) <= radius * radius ? along + half_chord : along - half_chord;
 }
@@ -99,7 +100,7 @@ SVGF_HD inline float spot_attenuation(const Light& light, Vec3 direction) {
 // of the angle, > 0. As Cycles has it: max(0, tan(half spread) - tan(angle)), normalized.
 SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
     if (!(light.spot_scale > 0.0f)) return 1.0f;
-    const float tangent = std::sqrt((1.0f - cosine) * (1.0f + cosine)) / cosine;
+    const float tangent = fast_quotient(fast_sqrt((1.0f - cosine) * (1.0f + cosine)), cosine);
     return max(0.0f, light.cos_half_spot - tangent) * light.spot_scale;
 }
 
@@ -133,15 +134,15 @@ SVGF_HD LightSample sample_light(const SceneView& scene, const Light& light, flo
             const float distance_squared = dot(to_centre, to_centre);
             sample.direction = normalize(to_centre);
             if (sample.delta) {
-                sample.distance = std::sqrt(distance_squared);
-                sample.radiance = sample.radiance / distance_squared;
+                sample.distance = fast_sqrt(distance_squared);
+                sample.radiance *= fast_reciprocal(distance_squared);
             } else if (light.soft_falloff != 0.0f) {
                 const Frame frame(sample.direction);
                 const Vec2 disk = sample_unit_disk(u) * light.size.x;
                 const Vec3 to_light = to_centre + frame.to_world({disk.x, disk.y, 0.0f});
                 sample.distance = length(to_light);
-                const float cosine = std::sqrt(distance_squared) / sample.distance;
-                sample.direction = to_light / sample.distance;
+                const float cosine = fast_quotient(fast_sqrt(distance_squared), sample.distance);
+                sample.direction = to_light * fast_reciprocal(sample.distance);
                 sample.pdf = disk_density(sample.distance, cosine, light.size.x);
             } else {
                 const float cone = sphere_cone(light.size.x, distance_squared);
@@ -167,7 +168,7 @@ SVGF_HD LightSample sample_light(const SceneView& scene, const Light& light, flo
             }
             const Vec3 to_light = light.position - point + light.axis_x * share.x + light.axis_y * share.y;
             sample.distance = length(to_light);
-            sample.direction = to_light / sample.distance;
+            sample.direction = to_light * fast_reciprocal(sample.distance);
             // Lamps shine along -axis_z alone, triangles both ways.
             float cosine = dot(sample.direction, light.axis_z);
             if (light.kind == LightKind::triangle) {
@@ -177,7 +178,7 @@ SVGF_HD LightSample sample_light(const SceneView& scene, const Light& light, flo
             } else if (cosine > 0.0f) {
                 sample.radiance *= spread_attenuation(light, cosine);
             }
-            sample.pdf = cosine > 0.0f ? sample.distance * sample.distance / (cosine * light.area) : 0.0f;
+            sample.pdf = cosine > 0.0f ? fast_quotient(sample.distance * sample.distance, cosine * light.area) : 0.0f;
             break;
         }
         case LightKind::environment:
@@ -211,8 +212,8 @@ SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, 
     } else if (light.soft_falloff != 0.0f) {
         const Vec3 to_centre = light.position - origin;
         const float centre_distance = length(to_centre);
-        const float cosine = dot(direction, to_centre) / centre_distance;
-        const float t = centre_distance / cosine;
+        const float cosine = fast_quotient(dot(direction, to_centre), centre_distance);
+        const float t = fast_quotient(centre_distance, cosine);
         if (!(cosine > 0.0f && t > t_min && t < t_hit)) return false;
         const Vec3 beside = direction * t - to_centre;
         if (!(dot(beside, beside) <= light.size.x * light.size.x)) return false;
@@ -225,14 +226,15 @@ SVGF_HD inline bool cross_lamp(const Light& light, Vec3 origin, Vec3 direction, 
         pdf = cone_density(sphere_cone(light.size.x, dot(to_centre, to_centre)));
     } else {
         const float cosine = dot(direction, light.axis_z);
-        const float t = dot(light.position - origin, light.axis_z) / cosine;
+        const float t = fast_quotient(dot(light.position - origin, light.axis_z), cosine);
         if (!(cosine > 0.0f && t > t_min && t < t_hit)) return false;
         const Vec3 local = origin + direction * t - light.position;
-        const float x = dot(local, light.axis_x) / light.size.x, y = dot(local, light.axis_y) / light.size.y;
+        const float x = fast_quotient(dot(local, light.axis_x), light.size.x);
+        const float y = fast_quotient(dot(local, light.axis_y), light.size.y);
         const bool inside = light.kind == LightKind::ellipse ? x * x + y * y <= 0.25f
                                                              : std::fabs(x) <= 0.5f && std::fabs(y) <= 0.5f;
         if (!inside) return false;
-        pdf = t * t / (cosine * light.area);
+        pdf = fast_quotient(t * t, cosine * light.area);
         spread = spread_attenuation(light, cosine);
     }
     radiance = light.radiance * (spot_attenuation(light, direction) * spread);
@@ -250,7 +252,7 @@ SVGF_HD inline const Light* find_light(const SceneView& scene, const Hit& hit) {
 
 // Density of a triangle that a ray hits at distance t, without the probability of choosing it.
 SVGF_HD inline float triangle_density(const Light& light, float t, float cosine) {
-    return t * t / (std::fabs(cosine) * light.area);
+    return fast_quotient(t * t, std::fabs(cosine) * light.area);
 }
 
 }  // namespace svgf

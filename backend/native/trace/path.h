@@ -154,7 +154,7 @@ struct PathVertices {
         if (path.bounces >= roulette_start) {
             const float survival = min(1.0f, max_component(path.throughput));
             if (!(lobe_and_roulette.y < survival)) return false;
-            path.throughput = path.throughput / survival;
+            path.throughput *= fast_reciprocal(survival);
         }
         if constexpr (has_limits) simplify(path, surface.material);
         const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
@@ -370,7 +370,7 @@ private:
         if constexpr (has_limits || covers(kernel, Effects::ray_visibility))
             keep(value, row.visibility & allowed_kinds(path), dot(bsdf.geometric_normal, found.direction) < 0.0f);
         const float mis = found.delta ? 1.0f : power_heuristic(found.pdf, value.pdf);
-        const Vec3 arriving = path.throughput * value.total() * found.radiance * (mis / found.pdf);
+        const Vec3 arriving = path.throughput * value.total() * found.radiance * fast_quotient(mis, found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
         shadow.ray = {offset_from_surface(surface, found.direction), found.direction, 0.0f, infinity, ray_kind::shadow};
         if (found.distance < infinity) {

@@ -29,12 +29,12 @@ SVGF_HD inline Vec3 make_reflection_valid(Vec3 normal, Vec3 geometric_normal, Ve
     const Vec3 sideways = normal - geometric_normal * across;
     const float length = svgf::length(sideways);
     if (!(length > 1e-6f)) return normal;
-    const Vec3 x = sideways / length;
+    const Vec3 x = sideways * fast_reciprocal(length);
     const float vx = dot(view, x);
     const float a = vx * vx + height * height, b = 2.0f * (a + height * threshold), c = square(threshold + height);
-    const float root = std::sqrt(max(b * b - 4.0f * a * c, 0.0f));
-    const float z2 = saturate(0.25f * (b + (vx < 0.0f ? root : -root)) / max(a, 1e-30f));
-    return x * std::sqrt(1.0f - z2) + geometric_normal * std::sqrt(z2);
+    const float root = fast_sqrt(max(b * b - 4.0f * a * c, 0.0f));
+    const float z2 = saturate(fast_quotient(0.25f * (b + (vx < 0.0f ? root : -root)), max(a, 1e-30f)));
+    return x * fast_sqrt(1.0f - z2) + geometric_normal * fast_sqrt(z2);
 }
 
 // The same for a lobe that mirrors, which also needs the viewer above its horizon.
@@ -85,8 +85,8 @@ SVGF_HD inline float bump_shadowing(Vec3 smooth_normal, Vec3 normal, Vec3 light,
     const float cos_smooth = dot(smooth_normal, light), cos_normal = dot(smooth_normal, normal);
     if (cos_smooth * cos_normal * cos_light < 0.0f) return 0.0f;
     const float c2 = max(square(cos_smooth), 1e-12f), d2 = square(max(std::fabs(cos_normal), 1e-6f));
-    const float alpha2 = saturate(0.125f * max(1.0f / d2 - 1.0f, 0.0f));
-    return 2.0f / (1.0f + std::sqrt(1.0f + alpha2 * max(1.0f / c2 - 1.0f, 0.0f)));
+    const float alpha2 = saturate(0.125f * max(fast_reciprocal(d2) - 1.0f, 0.0f));
+    return 2.0f * fast_reciprocal(1.0f + fast_sqrt(1.0f + alpha2 * max(fast_reciprocal(c2) - 1.0f, 0.0f)));
 }
 
 }  // namespace svgf

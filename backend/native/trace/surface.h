@@ -30,7 +30,7 @@ struct Surface {
 // Unit vector for any length, also where its square would vanish or overflow.
 SVGF_HD inline Vec3 normalize_any_length(Vec3 v) {
     const float squared = dot(v, v);
-    if (squared > 1e-30f && squared < 1e30f) return v * (1.0f / std::sqrt(squared));
+    if (squared > 1e-30f && squared < 1e30f) return v * fast_reciprocal_sqrt(squared);
     const float size = max_component(abs(v));
     return size > 0.0f ? normalize(v * (1.0f / size)) : v;
 }
@@ -123,7 +123,8 @@ SVGF_HD inline float find_clearance(const LeafTriangle& triangle, const Mat34& t
     const Vec3 world{dot(abs(to_world.row[0].xyz()), extent), dot(abs(to_world.row[1].xyz()), extent),
                      dot(abs(to_world.row[2].xyz()), extent)};
     const float object = max_component(extent + abs(translation(to_object)));
-    return roundings * (object / normal_scale + dot(world + abs(translation(to_world)), abs(geometric_normal)));
+    return roundings * (fast_quotient(object, normal_scale) +
+                        dot(world + abs(translation(to_world)), abs(geometric_normal)));
 }
 
 // Where a ray leaves a surface point, on the side of its direction.
@@ -234,7 +235,7 @@ SVGF_HD void find_material(const SceneView& scene, const MeshView& mesh, const H
         const float share =
             is_sum ? 0.5f : find_factor(surface.material, surface.shading_normal, surface.geometric_normal, view);
         const bool second = choice < share;
-        choice = second ? choice / share : (choice - share) / (1.0f - share);
+        choice = second ? fast_quotient(choice, share) : fast_quotient(choice - share, 1.0f - share);
         choice = min(choice, largest_choice);
         index = second ? surface.material.second : surface.material.first;
         if (is_sum) surface.weight *= 2.0f;

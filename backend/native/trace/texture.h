@@ -11,7 +11,7 @@
 namespace svgf {
 
 SVGF_HD inline float srgb_to_linear(float c) {  // IEC 61966-2-1
-    return c <= 0.04045f ? c / 12.92f : fast_exp2(2.4f * fast_log2((c + 0.055f) / 1.055f));
+    return c <= 0.04045f ? c * (1.0f / 12.92f) : fast_exp2(2.4f * fast_log2((c + 0.055f) * (1.0f / 1.055f)));
 }
 
 // Texel index within [0, size), or -1 for one that the image does not cover. i: where the extension repeats, within its
@@ -53,7 +53,7 @@ SVGF_HD inline float texel_weight(Interpolation interpolation, float share, int 
     // Cubic B-spline.
     if (distance < 1.0f) return 2.0f / 3.0f - distance * distance * (1.0f - 0.5f * distance);
     const float rest = 2.0f - distance;
-    return rest * rest * rest / 6.0f;
+    return rest * rest * rest * (1.0f / 6.0f);
 }
 
 // RGBA, as stored but for alpha in colours, at uv, (0, 0) being the image's bottom left corner. Two by two texels at
@@ -80,7 +80,7 @@ SVGF_HD inline Vec4 filter_texture(const TextureView& texture, Vec2 uv) {
         }
     }
     if (texture.associated_alpha && sum.w > 0.0f) {
-        const float scale = 1.0f / sum.w;
+        const float scale = fast_reciprocal(sum.w);
         sum = {sum.x * scale, sum.y * scale, sum.z * scale, sum.w};
     }
     return sum;

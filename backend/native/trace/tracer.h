@@ -107,6 +107,7 @@ public:
 
     explicit Tracer(Device& device);
 
+    // After set_materials, and again where that is called again: an object's tree depends on whether light passes it.
     void set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Instances& arrays);
     // [M, 48] and [K, 12]
     void set_materials(std::span<const float> materials, std::span<const float> material_maps,

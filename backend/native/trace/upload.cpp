@@ -136,6 +136,12 @@ void check_materials(std::span<const Material> materials, std::size_t map_count)
     throw InputError("A material mixes itself, or mixes are too deep.");
 }
 
+// Whether no light passes a material straight, whatever its maps hold.
+bool is_opaque(const Material& material) {
+    if (material.kind == MaterialKind::principled) return material.alpha >= 1.0f && material.alpha_map < 0;
+    return material.kind != MaterialKind::transparent && !is_mix(material.kind);
+}
+
 }  // namespace
 
 Tracer::Tracer(Device& device) : device_(device) {
@@ -157,6 +163,7 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
 
     std::vector<Instance> instances(count);
     std::vector<Placement> placements(count);
+    std::vector<std::uint8_t> opaque(count);
     parallel_for(count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
             expect(arrays.mesh[i] >= 0 && std::size_t(arrays.mesh[i]) < meshes.size(),
@@ -171,6 +178,12 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
             instances[i] = {inverse_of(placements[i].object_to_world, matrix_at(arrays.world_to_object, i)),
                             arrays.mesh[i], arrays.object_id[i], arrays.material_start[i], arrays.visibility[i],
                             std::uint32_t(arrays.emitter[i] + 1)};
+            const auto slots = arrays.material_table.subspan(std::size_t(arrays.material_start[i]),
+                                                             std::size_t(mesh.slot_count()));
+            opaque[i] = std::all_of(slots.begin(), slots.end(), [&](std::int32_t material) {
+                return material >= 0 && std::size_t(material) < material_rows_.size() &&
+                       is_opaque(material_rows_[std::size_t(material)]);
+            });
         }
     });
     largest_material_ = -1;
@@ -185,7 +198,7 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
         largest_emitter_ = std::max(largest_emitter_, emitter);
     }
 
-    merged_.update(device_, meshes, instances, placements);
+    merged_.update(device_, meshes, instances, placements, opaque);
     // Behind all others, as an instance that stands where the world does.
     std::vector<std::shared_ptr<Mesh>> trees = meshes;
     scene_.merged_instance = -1;

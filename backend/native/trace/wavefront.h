@@ -8,6 +8,10 @@
 // What a path carries lies in memory, one record per pixel; queues name the pixels whose paths go on, so that warps
 // stay full, and each kernel is small enough for the instruction cache. Every pixel's light is summed in the order in
 // which trace/path.h finds it, to the same bits.
+//
+// Rays are traced in the order of their pixels. In Sponza, sorted by the octant of their direction and 15 bits of their
+// origin, warps visit 2 % fewer nodes with bounce rays and 6 % fewer with last ones; with 4 bits more of direction 9 %:
+// less than it takes to sort them.
 #pragma once
 
 #include "core/append.h"

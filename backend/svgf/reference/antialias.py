@@ -37,11 +37,11 @@ class Resolved:
 
 def antialias(
     color: Any, noisy: Any, noise: Any, changed: Any, depth: Any, motion: Any, history: Resolved | None, settings: Any,
-    unchanged: bool = False,
+    unchanged: bool = False, interactive: bool = False,
 ) -> Resolved:  # fmt: skip
     """color [H, W, 3]: the denoised frame. noisy [H, W, 3]: what it was made from, repaired; noise [H, W]: the variance
     of its luminance. changed bool [H, W]: light has just changed. depth [H, W]. motion [H, W, 2 or 3], None: nothing
-    moved. unchanged: nor did the light change."""
+    moved. unchanged: nor did the light change. interactive: what stands still waits with noisy frames until then."""
     xp = namespace(color)
     height, width = depth.shape
     rows, columns = xp.meshgrid(xp.arange(height), xp.arange(width), indexing="ij")
@@ -107,9 +107,11 @@ def antialias(
     unseen = xp.clip(2.0 - left / VISIBLE_NOISE, 0.0, 1.0)
     masked = xp.clip(deviation.max(axis=-1) / MASKING_CONTRAST - 1.0, 0.0, 1.0)
     masked = masked * xp.clip((frames - STILL_FRAMES) / BLEND_FRAMES, 0.0, 1.0)
-    share = xp.maximum(unseen, masked)[..., None] if unchanged else 1.0
+    waits = interactive and not unchanged
+    share = xp.maximum(unseen, masked)[..., None] if unchanged else 0.0 if waits else 1.0
     sample = color + (noisy - color) * share
     rate = BLEND_RATE + (STILL_RATE - BLEND_RATE) * share
+    n = xp.where(goes_on, frames, n) if waits else n
     step = (sample - past_linear) * rate / n[..., None]
     if unchanged:
         most = LARGEST_STEP * xp.maximum(white, color.max(axis=-1) + 1e-30)

