@@ -115,8 +115,7 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
 @pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
 def test_fast_atrous_is_its_formula(device, level):
     """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the larger of both pixels' variances.
-    The centre's is prefiltered over the level's taps, the specular one at the first level alone; the tap's counts less
-    the glossier the centre is."""
+    The centre's is prefiltered at the first level; the tap's counts less the glossier the tap is."""
     images = make_images(np.random.default_rng(5), 2)
     actual, _ = run(device, "svgf+", "atrous", images, level)
     for signal in (0, 1):
@@ -152,8 +151,8 @@ def _assert_atrous_is_its_formula(images, actual, signal, level):
                 difference = abs(light(color[y, x]) - light(color[v, u]))
                 exponent = -abs(z_p - z_q) / (settings.sigma_depth * explained + 1e-3 * z_p)
                 exponent += settings.plus_sigma_normal * (cosine - 1.0) if (i, j) != (0, 0) else 0.0
-                own = blurred / norm if signal == 0 or level == 0 else variance[y, x]
-                larger = max(own, matte[y, x] * variance[v, u])
+                own = blurred / norm if level == 0 else variance[y, x]
+                larger = max(own, matte[v, u] * variance[v, u])
                 exponent -= difference**2 / (settings.plus_sigma_luminance**2 * larger + 1e-20)
                 w = kernel[i] * kernel[j] * math.exp(exponent)
                 c_sum, v_sum, w_sum = c_sum + w * color[v, u], v_sum + w * w * variance[v, u], w_sum + w

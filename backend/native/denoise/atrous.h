@@ -29,7 +29,7 @@
 // On tiles. The taps of a level with spacing s join only pixels that are multiples of s apart, so a tile is taken from
 // one such lattice (of 1, 2 or 4 neighbouring columns, so that reads of memory stay whole): whatever the spacing, a
 // pixel is read and unpacked 1.4 times instead of 9 or 25, and a tap is two loads from fast memory at fixed
-// distances. A thread filters two pixels, which share half of their taps.
+// distances. A thread filters two or four pixels, which share half of their taps.
 #pragma once
 
 #include "denoise/method.h"
@@ -102,10 +102,11 @@ template <class Method, int Signals, int PhasesLog2, class Sink>
 struct Atrous {
     using Storage = typename Method::Storage;
     using Gradient = typename Storage::Gradients::Texel;
-    static constexpr int radius = Method::radius, rows_per_thread = 2;
+    // As the registers allow; fastest on an H200.
+    static constexpr int radius = Method::radius, rows_per_thread = radius == 1 && Signals == 1 ? 4 : 2;
+    static constexpr int blocks = rows_per_thread == 4 ? 5 : 5 - Signals, fetches = 2;
     using Lattice = svgf::Lattice<radius, PhasesLog2>;
     static constexpr int threads_x = Lattice::columns, threads_y = Lattice::rows / rows_per_thread;
-    static constexpr int blocks = 5 - Signals, fetches = 2;  // as the registers allow; fastest on an H200
 
     static constexpr int places = Lattice::width * Lattice::height;
     struct Tile {
