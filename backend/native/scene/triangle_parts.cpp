@@ -14,6 +14,10 @@ namespace {
 // Cuts of all triangles together, for each triangle, and of one at most.
 constexpr double cuts_per_triangle = 0.25;
 constexpr double most_cuts = 255;
+// What a triangle's box must have in excess for each cut, in mean areas of all boxes. Where all triangles are much
+// alike, as in a fine mesh, cutting them takes rays longer: without this bound an H200 traces 4.05 instead of 4.43
+// billion primary rays per second in a room of 19,440 triangles.
+constexpr double least_excess = 3.0;
 
 // Triangles that a thread takes at a time.
 constexpr std::size_t chunk = 4096;
@@ -51,18 +55,18 @@ double sum_over(std::size_t count, const Of& of) {
     return sum;
 }
 
-// The largest factor from areas to cuts that stays within the budget.
-double find_factor(std::span<const float> excess) {
-    const double budget = cuts_per_triangle * double(excess.size());
-    const double area = sum_over(excess.size(), [&](std::size_t i) { return double(excess[i]); });
+// The largest factor from areas to cuts that stays within the budget, and where that is spent on too little, less.
+double find_factor(std::span<const LeafTriangle> triangles, std::span<const float> excess) {
+    const std::size_t count = excess.size();
+    const double area = sum_over(count, [&](std::size_t i) { return double(box_of(triangles[i]).half_area()); });
     if (!(area > 0.0)) return 0.0;
-    double low = 0.0, high = (budget + double(excess.size())) / area;
+    double low = 0.0, high = double(count) / (least_excess * area);
     for (int step = 0; step < 24; ++step) {
         const double factor = 0.5 * (low + high);
-        const double cuts = sum_over(excess.size(), [&](std::size_t i) {
+        const double cuts = sum_over(count, [&](std::size_t i) {
             return std::min(std::floor(factor * excess[i]), most_cuts);
         });
-        (cuts <= budget ? low : high) = factor;
+        (cuts <= cuts_per_triangle * double(count) ? low : high) = factor;
     }
     return low;
 }
@@ -188,7 +192,7 @@ TriangleParts cut_triangles(std::span<const LeafTriangle> triangles, std::span<c
     Bounds scene;
     for (const Bounds& box : chunk_boxes) scene.add(box);
     const Cutter cutter(scene);
-    const double factor = find_factor(excess);
+    const double factor = find_factor(triangles, excess);
     std::vector<TriangleParts> cut(chunks);
     for_chunks(count, [&](std::size_t c, std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {

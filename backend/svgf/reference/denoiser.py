@@ -100,8 +100,9 @@ class Denoiser:
         """inputs: images as ``svgf.Denoiser.denoise`` takes them, and optionally `window`; others are not read.
 
         reset: forget the history first. unchanged: what is seen, its light and the camera, for as many frames as svgf+
-        takes to settle. interactive: someone works in the view, which shows no noise meanwhile. Returns color [H, W, 3], variance [H, W] and history_length [H, W]; with
-        diagnostics, also the images of ``svgf.diagnostics``.
+        takes to settle. interactive: someone works in the view, which shows no noise meanwhile. Returns color
+        [H, W, 3], variance [H, W] and history_length [H, W]; with diagnostics, also the images of
+        ``svgf.diagnostics``.
         """
         signals = [name for name in SIGNAL_ALBEDOS if name in inputs]
         if reset or (self.history is not None and len(self.history.color) != len(signals)):
