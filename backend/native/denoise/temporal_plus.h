@@ -30,10 +30,10 @@
 //   its surface does not lag. The deviation is the averaged one, so that sparse samples do not pass for a change.
 // - Temporal gradients without a second trace [Schied18]: the `drift` is a mean over a few frames of how far the mean
 //   of the 3x3 samples is from history, in deviations of a sample, and is averaged with eight pixels around every
-//   frame. Noise averages out of it, a change adds up. Above `change_threshold` history gives way to the 3x3 samples, at
-//   1.2 times that altogether. The threshold rises with the frames that would be lost: a long history is not given up for
-//   what chance does once in as many frames. Whole pictures of all frames from the fifth on; relMSE, FLIP and flicker
-//   over those of OIDN 2.5.1, of our box of metal and glass, our toys, and Cycles' teapots and gallery:
+//   frame. Noise averages out of it, a change adds up. Above `change_threshold` history gives way to the 3x3 samples,
+//   at 1.2 times that altogether. The threshold rises with the frames that would be lost: a long history is not given
+//   up for what chance does once in as many frames. Whole pictures of all frames from the fifth on; relMSE, FLIP and
+//   flicker over those of OIDN 2.5.1, of our box of metal and glass, our toys, and Cycles' teapots and gallery:
 //
 //     one sample's distance, threshold 0.45   1.99 .912 .337   1.40 .768 .575   1.74 .815 .415   1.00 .778 .691
 //     the mean of 3x3, threshold 0.3          1.75 .885 .437   1.40 .767 .576   1.67 .815 .415   0.98 .784 .692
