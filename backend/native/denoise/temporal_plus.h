@@ -6,19 +6,17 @@
 // colour the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no
 // stage "variance" follows.
 //
-// Departures from [Schied17]. Measured at 480x270 on our own tracer's box of metal and glass and its arcade, 16 frames
-// at 1 sample per pixel against 1024, frames 5 to 16; relMSE, FLIP, flicker of each:
+// Departures from [Schied17]. Measured on whole pictures of 480x270, 16 frames (10) at 1 sample per pixel, all from the
+// fifth on: our own tracer's box of metal and glass and its arcade, and a gallery that Cycles rendered; relMSE, FLIP and
+// flicker over those of OIDN 2.5.1:
 //
-//   firefly limit 20                    0.0196 0.0811 0.0094     0.0431 0.2070 0.0243
-//   no firefly limit                    0.0242 0.0745 0.0095     0.0245 0.1204 0.0222
-//     and no history clamp              0.0359 0.0766 0.0100     0.0249 0.1238 0.0221
-//     and no temporal gradient          0.0342 0.0762 0.0094     0.0245 0.1202 0.0222
+//   as it is (firefly limit 60)         1.64 .877 .435     0.96 0.882 .691     0.98 .784 .693
+//   firefly limit 20                    1.33 .956 .426     1.06 1.143 .700     0.88 .820 .691
+//   no firefly limit                    2.17 .906 .446     0.95 0.835 .684      136 .784 .702
+//   no history clamp                    2.16 .878 .449     0.96 0.881 .688     1.36 .778 .688
+//   no temporal gradient                3.28 .935 .330     0.97 0.884 .690     1.00 .779 .691
 //
-// The limit takes light where few samples find any, as in the arcade; without one a gallery that Cycles rendered has a
-// relMSE of 1.28. Its height, on the middle half of the box, the arcade and that gallery, frames 5 to 10; relMSE, FLIP:
-//
-//   firefly limit 20                    0.0243 0.0885     0.0613 0.2085     0.0641 0.1089
-//   firefly limit 60                    0.0280 0.0832     0.0500 0.1690     0.0728 0.1056
+// The limit takes light where few samples find any, as in the arcade.
 //
 // - The filter is driven by the variance of the mean, that of a sample over N, not of a sample: as history grows the
 //   filter narrows, and a still view converges to the mean of all its samples.
