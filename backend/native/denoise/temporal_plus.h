@@ -7,8 +7,8 @@
 // stage "variance" follows.
 //
 // Departures from [Schied17]. Measured on whole pictures of 480x270, 16 frames (10) at 1 sample per pixel, all from the
-// fifth on: our own tracer's box of metal and glass and its arcade, and a gallery that Cycles rendered; relMSE, FLIP and
-// flicker over those of OIDN 2.5.1:
+// fifth on: our own tracer's box of metal and glass and its arcade, and a gallery that Cycles rendered; relMSE, FLIP
+// and flicker over those of OIDN 2.5.1:
 //
 //   as it is (firefly limit 60)         1.64 .877 .435     0.96 0.882 .691     0.98 .784 .693
 //   firefly limit 20                    1.33 .956 .426     1.06 1.143 .700     0.88 .820 .691
