@@ -202,7 +202,7 @@ def test_constant_radiance_is_a_fixed_point(device):
 
 def test_energy_of_a_settled_scene(device):
     """After 96 frames the picture's mean is that of all samples, within 0.5 %. (0.22 % less, over 8 seeds, which stray
-    from that by 0.1 %. After 40 frames it is 0.5 % less: what the filter makes of skewed noise is not forgotten yet.)"""
+    from that by 0.1 %. After 40 frames it is 0.5 % less: what the filter makes of skewed noise is not forgotten.)"""
     rng = np.random.default_rng(25)
     frames = [noisy_frame(rng) for _ in range(96)]
     denoiser = Denoiser(40, 24, device, "svgf+")
@@ -317,7 +317,7 @@ def test_noise_of_a_view_at_rest_stays_small(device):
 
 
 def test_what_stands_still_while_someone_works_shows_less_noise(device):
-    """Denoised frames alone, however long an object is dragged beside it: noisy ones would show their bright samples."""
+    """Denoised frames alone, however long an object is dragged beside it: noisy ones would show bright samples."""
     if device.name == "reference":
         pytest.skip("hundreds of frames in numpy take a while")
     worst = {True: 0.0, False: 0.0}

@@ -114,7 +114,7 @@ def test_a_long_mean_of_skewed_samples_has_no_bias(device):
 
 @pytest.mark.parametrize("level", [0, 1, 2, 3, 4])
 def test_fast_atrous_is_its_formula(device, level):
-    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the larger of both pixels' variances.
+    """3x3 binomial, exp(sigma_n (cosine - 1)) for Eq. 4, a Gaussian for Eq. 5 over the larger of both variances.
     The centre's is prefiltered at the first level; the tap's counts less the glossier the tap is."""
     images = make_images(np.random.default_rng(5), 2)
     actual, _ = run(device, "svgf+", "atrous", images, level)

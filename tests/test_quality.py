@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from svgf.bench.accuracy import INPUT, converge, measure
 from svgf.framing import reframe
+from svgf.renderer import Renderer
+from svgf.scene import Scene
 from svgf.scene_file import SceneFile
 from svgf.settings import Settings
 
@@ -32,3 +36,40 @@ def test_error_and_flicker_against_the_input(device, name):
     assert rows["svgf"].flicker <= rows[INPUT].flicker / 4
     assert rows["svgf"].flip < rows["eaw"].flip < rows[INPUT].flip
     assert rows["svgf"].flicker < rows["eaw"].flicker
+
+
+def dimmed(scene: Scene, share: float) -> Scene:
+    """Its lamps, or what shines in it, give that share of their light; the world stays."""
+    lights = tuple(replace(light, power=tuple(share * power for power in light.power)) for light in scene.lights)
+    materials = tuple(
+        replace(material, emission=tuple(share * radiance for radiance in material.emission))
+        for material in scene.materials
+    )
+    return replace(scene, lights=lights, materials=materials)
+
+
+@pytest.mark.parametrize("name", ["cornell", "atrium"])
+def test_a_lamp_that_is_switched_shows_within_five_frames_of_one_sample(device, name):
+    """On and off, over 24 frames of history: 90 % of the change, of all light and of the fifth of the image that it
+    changes most. Samples are 1 per pixel, with all noise that our own tracer has; the truth has 64."""
+    if device.name == "reference":
+        pytest.skip("takes minutes in numpy")
+    size = (96, 54)
+    with SceneFile(SCENES / f"{name}.svgf") as file:
+        bright = reframe(file.scene(1), *size).at_rest()
+    states = (dimmed(bright, 0.1), bright)
+    truths = [
+        Renderer(Settings(*size, method="none", samples=64, seed=9), device).render(state).noisy for state in states
+    ]
+    largest = np.abs(truths[1] - truths[0]).mean(axis=-1)
+    lit = largest >= np.quantile(largest, 0.8)
+    for before, after in ((0, 1), (1, 0)):
+        renderer = Renderer(Settings(*size), device)
+        for _ in range(24):
+            renderer.render(states[before])
+        switched = replace(states[after], frame=2)
+        frames = [renderer.render(switched) for _ in range(5)]
+        assert not frames[0].reset
+        for where in (lit, np.ones_like(lit)):
+            change = (truths[after] - truths[before])[where].mean()
+            assert (frames[4].color - truths[before])[where].mean() / change >= 0.9

@@ -91,8 +91,13 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
-        0.3, 1e-3, 1e6,
+        0.15, 1e-3, 1e6,
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
+        unit="standard deviations",
+    )  # fmt: skip
+    specular_change_threshold: float = _setting(
+        0.3, 1e-3, 1e6,
+        "svgf+: the same of the specular signal, whose deviation leaves out what looks like structure.",
         unit="standard deviations",
     )  # fmt: skip
     history_fix_radius: int = _setting(

@@ -233,7 +233,6 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.history_fix_radius = settings_.history_fix_radius;
     constexpr float never = 1e6f;
     stage.is_unchanged = inputs.is_unchanged;
-    stage.change_threshold = inputs.is_unchanged ? never : settings_.change_threshold;
     stage.out_repaired = repaired_.data();
     stage.out_fireflies = fireflies_.data();
     stage.out_suppressed_light = diagnostics_ ? diagnostics_->suppressed_light : nullptr;
@@ -245,6 +244,9 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
         stage.history_clamp[s] = inputs.is_unchanged     ? never
                                  : inputs.is_specular[s] ? settings_.specular_history_clamp
                                                          : settings_.history_clamp;
+        stage.change_threshold[s] = inputs.is_unchanged     ? never
+                                    : inputs.is_specular[s] ? settings_.specular_change_threshold
+                                                            : settings_.change_threshold;
         stage.variance_scale[s] = square(sharper);
         stage.hist_color[s] = color_of<Storage>(Place::history, s);
         stage.hist_moments[s] = moments_of<Storage>(previous_moments_, s);

@@ -39,8 +39,10 @@ namespace svgf {
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
     SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                  \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
-    SETTING(change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                                        \
+    SETTING(change_threshold, float, 0.15, 1e-3, 1e6, "standard deviations", "",                                       \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
+    SETTING(specular_change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                               \
+            "svgf+: the same of the specular signal, whose deviation leaves out what looks like structure.")           \
     SETTING(history_fix_radius, int, 16, 1, 256, "pixels", "",                                                         \
             "svgf+: how far around what has just appeared its surface is looked for a frame ago. 1: beside it.")       \
     SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \

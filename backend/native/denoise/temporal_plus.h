@@ -111,10 +111,10 @@ struct TemporalPlus : Tiles {
     Reprojection<Storage> reprojection;
     typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
     typename Storage::Moments hist_moments[Signals];
-    float history_frames, firefly_limit, change_threshold;
+    float history_frames, firefly_limit;
     int history_fix_radius;
     bool is_unchanged = false, is_specular[Signals], has_reflections[Signals];
-    float history_clamp[Signals];   // standard deviations
+    float history_clamp[Signals], change_threshold[Signals];  // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
     typename Storage::Guides out_guides;
     typename Storage::Gradients out_gradients;
@@ -298,7 +298,7 @@ private:
 
         // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
-        const float threshold = change_threshold * (1.0f + threshold_rise * doublings);
+        const float threshold = change_threshold[s] * (1.0f + threshold_rise * doublings);
         float kept = clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
         const bool changed = kept < 1.0f;
         float frames = old.frames * kept + 1.0f;

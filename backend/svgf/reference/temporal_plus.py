@@ -126,7 +126,8 @@ def temporal_plus(
 
         # Light that has changed.
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
-        threshold = (NEVER if unchanged else settings.change_threshold) * (1.0 + THRESHOLD_RISE * doublings)
+        threshold = settings.specular_change_threshold if is_specular[s] else settings.change_threshold
+        threshold = (NEVER if unchanged else threshold) * (1.0 + THRESHOLD_RISE * doublings)
         kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
