@@ -93,8 +93,10 @@ def _motion_error(frame: Frame) -> np.ndarray:
 
 def _repaired_values(frame: Frame) -> np.ndarray:
     """What the path tracer saw, dimmed, with pixels whose inputs no picture may hold in a colour of their own."""
-    grey = 0.1 * np.fmin(np.fmax(frame.noisy, 0), 1).sum(axis=2, keepdims=True)
-    return np.where(frame.repaired_values[..., None] > 0, np.float32(_BAD_COLOR), grey)
+    # One channel after the other: numpy is slow where the innermost axis is short.
+    grey = 0.1 * sum(np.fmin(np.fmax(frame.noisy[..., channel], 0), 1) for channel in range(3))
+    bad = frame.repaired_values > 0
+    return np.stack([np.where(bad, np.float32(color), grey) for color in _BAD_COLOR], axis=2)
 
 
 def _suppressed_light(frame: Frame) -> np.ndarray:
@@ -106,7 +108,9 @@ def _history(frame: Frame) -> np.ndarray:
 
 
 def _normal(frame: Frame) -> np.ndarray:
-    return np.where(frame.object_id[..., None] > 0, frame.normal * 0.5 + 0.5, 0)
+    image = frame.normal * np.float32(0.5) + np.float32(0.5)
+    image[frame.object_id <= 0] = 0
+    return image
 
 
 OVERLAYS = {
