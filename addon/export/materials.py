@@ -156,6 +156,8 @@ def _surface(
     surface = SurfaceReader(inputs, find, displacement).read(find_input(output, "Surface"))
     if not material.use_transparent_shadow and surface.lets_light_through:
         find("opaque shadows of what is transparent are not supported yet; light passes.")
+    if surface.has_bumps and not getattr(getattr(material, "cycles", None), "use_bump_map_correction", True):
+        find("bumps without Cycles' bump map correction are not supported yet; it is on.")
     return surface, tuple(sorted(inputs.tangent_layers))
 
 

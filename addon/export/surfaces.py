@@ -56,6 +56,11 @@ class Surface:
         is_transparent = own.kind is MaterialKind.TRANSPARENT or own.alpha < 1 or "alpha" in own.maps
         return is_transparent or any(part.lets_light_through for part in self.parts)
 
+    @property
+    def has_bumps(self) -> bool:
+        """Whether an image turns normals."""
+        return "normal" in self.material.maps or any(part.has_bumps for part in self.parts)
+
 
 @dataclass
 class _Fields:

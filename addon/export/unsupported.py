@@ -27,6 +27,8 @@ def find_in_scene(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, findi
         return
     if render.film_transparent and cycles.film_transparent_glass:
         findings.add(scene, "transparent glass is not supported yet; glass in front of the film is opaque.")
+    if _filters_pixels(cycles):
+        findings.add(scene, "Cycles' pixel filter is not supported yet; pixels are the mean of their own area.")
     if cycles.use_fast_gi:
         findings.add(scene, "fast global illumination is not supported; light is followed for all its bounces.")
     if render.use_simplify:
@@ -90,6 +92,13 @@ def find_in_world(world: bpy.types.World, findings: Findings) -> None:
         findings.add(world, "shadow caustics are not supported; the light finds its way through glass by chance.")
     if not getattr(cycles, "use_shadows", True):  # since Blender 5.2
         findings.add(world, "a world without shadows is not supported yet; it casts them.")
+
+
+def _filters_pixels(cycles: bpy.types.PropertyGroup) -> bool:
+    """Whether an artist has chosen another filter than Blender's default, which is left out in every file, and than the
+    box, which svgf has, too."""
+    kind = cycles.pixel_filter_type
+    return kind != "BOX" and (_differs(cycles, "pixel_filter_type") or _differs(cycles, "filter_width"))
 
 
 def _find_light_linking(owner: bpy.types.Object, findings: Findings) -> None:

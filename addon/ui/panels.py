@@ -164,8 +164,13 @@ class SVGF_PT_simplify(EnginePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         render, column = context.scene.render, self.columns()
         column.active = render.use_simplify
-        column.prop(render, "simplify_subdivision", text="Viewport Subdivision")
-        column.prop(render, "simplify_subdivision_render", text="Render")
+        for view, render_only, text in (
+            ("simplify_subdivision", "simplify_subdivision_render", "Viewport Subdivision"),
+            ("simplify_child_particles", "simplify_child_particles_render", "Viewport Child Particles"),
+        ):
+            column.prop(render, view, text=text)
+            column.prop(render, render_only, text="Render")
+            column.separator()
 
 
 class SVGF_PT_viewport(EnginePanel, bpy.types.Panel):

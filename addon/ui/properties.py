@@ -262,7 +262,7 @@ class SVGFSettings(bpy.types.PropertyGroup):
     )
     pixel_filter: bpy.props.EnumProperty(
         name="Pixel Filter",
-        description="Where in the pixel camera rays start",
+        description="Where in the pixel camera rays start; Cycles' own pixel filter is for Cycles alone",
         items=_items(PIXEL_FILTERS, _PIXEL_FILTERS),
         default=Settings.pixel_filter,
         update=_redraw_views,

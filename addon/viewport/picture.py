@@ -3,18 +3,15 @@
 
 from __future__ import annotations
 
-import os
 import weakref
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from svgf.diagnostics import ResetReason
+from svgf.display import write_display
 from svgf.frame import Frame
 
-_ROWS = 16  # that are painted at once
-_THREADS = min(4, os.cpu_count() or 1)
 _LARGEST_HALF = 65504.0  # beyond it Blender's view holds infinity, which draws black
 _MOTION_RANGE_PX = 16.0
 _HISTORY_RANGE_LOG2 = 5.0
@@ -96,17 +93,14 @@ def _motion_error(frame: Frame) -> np.ndarray:
 
 def _repaired_values(frame: Frame) -> np.ndarray:
     """What the path tracer saw, dimmed, with pixels whose inputs no picture may hold in a colour of their own."""
-    grey = 0.1 * sum(_limited(channel, 1) for channel in _channels(frame.noisy))
-    return np.where(frame.repaired_values[..., None] > 0, np.float32(_BAD_COLOR), grey[..., None])
+    # One channel after the other: numpy is slow where the innermost axis is short.
+    grey = 0.1 * sum(np.fmin(np.fmax(frame.noisy[..., channel], 0), 1) for channel in range(3))
+    bad = frame.repaired_values > 0
+    return np.stack([np.where(bad, np.float32(color), grey) for color in _BAD_COLOR], axis=2)
 
 
 def _suppressed_light(frame: Frame) -> np.ndarray:
     return frame.suppressed_light
-
-
-def _channels(image: np.ndarray) -> Iterator[np.ndarray]:
-    """One after the other: numpy is slow where the innermost axis is short."""
-    return (image[..., channel] for channel in range(image.shape[-1]))
 
 
 def _history(frame: Frame) -> np.ndarray:
@@ -114,7 +108,9 @@ def _history(frame: Frame) -> np.ndarray:
 
 
 def _normal(frame: Frame) -> np.ndarray:
-    return np.where(frame.object_id[..., None] > 0, frame.normal * 0.5 + 0.5, 0)
+    image = frame.normal * np.float32(0.5) + np.float32(0.5)
+    image[frame.object_id <= 0] = 0
+    return image
 
 
 OVERLAYS = {
@@ -214,37 +210,12 @@ class PictureMemory:
 def paint(frame: Frame, look: Look, memory: PictureMemory | None = None) -> np.ndarray:
     """float32 [H, W, 4], bottom row first, alpha premultiplied, finite: what a half-float texture takes."""
     overlay = OVERLAYS[look.overlay]
-    image = overlay.image(frame)
     pixels = (memory or PictureMemory()).new(frame.height, frame.width)
-    _fill(pixels, image if image.ndim == 3 else image[..., None], 1 if overlay.is_data else _LARGEST_HALF)
+    write_display(pixels, overlay.image(frame), 1 if overlay.is_data else _LARGEST_HALF)
     if look.overlay == "split":
         column = round(look.split * frame.width)
-        _fill(pixels[:, :column], frame.noisy[:, :column], _LARGEST_HALF)
+        write_display(pixels[:, :column], frame.noisy[:, :column], _LARGEST_HALF)
         pixels[:, max(column - 1, 0) : column] = 1
     if look.overlay in ("result", "split") and frame.alpha is not None:
-        pixels[..., 3] = _limited(frame.alpha, 1)[::-1]
+        pixels[..., 3] = np.fmin(np.fmax(frame.alpha, 0), 1)[::-1]  # fmax and fmin take what is a number
     return pixels
-
-
-def _fill(pixels: np.ndarray, image: np.ndarray, largest: float) -> None:
-    """pixels: [H, W, 4], opaque and upside down afterwards. A few rows at a time, which stay in a processor's cache."""
-    image = image[::-1]
-
-    def fill_rows(start: int) -> None:
-        rows, limited = pixels[start : start + _ROWS], _limited(image[start : start + _ROWS], largest)
-        for channel in range(3):
-            rows[..., channel] = limited[..., channel % image.shape[2]]
-        rows[..., 3] = 1
-
-    starts = range(0, len(pixels), _ROWS)
-    if len(starts) <= _THREADS:
-        list(map(fill_rows, starts))
-        return
-    with ThreadPoolExecutor(_THREADS, "svgf paint") as threads:  # numpy lets go of Python while it works
-        list(threads.map(fill_rows, starts))
-
-
-def _limited(image: np.ndarray, largest: float) -> np.ndarray:
-    """In [0, largest], 0 for what is no number: fmax and fmin take the other one."""
-    limited = np.fmax(image, np.float32(0))
-    return np.fmin(limited, np.float32(largest), out=limited)

@@ -23,6 +23,7 @@
 #include "denoise/denoiser.h"
 #include "device/bandwidth.h"
 #include "device/device.h"
+#include "device/display.h"
 #include "trace/tracer.h"
 
 namespace nb = nanobind;
@@ -301,6 +302,29 @@ nb::list denoise_settings() {
     return table;
 }
 
+// --- Display ---------------------------------------------------------------------------------------------------------
+
+#if !defined(SVGF_CUDA)
+using StridedImage = nb::ndarray<const float, nb::ndim<3>, nb::device::cpu>;
+using StridedPixels = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
+
+template <class T, class Array>
+Pixels<T> pixels_of(const Array& array) {
+    if (array.shape(2) > 1 && array.stride(2) != 1) throw InputError("The channels of a pixel must lie side by side.");
+    return {array.data(), ptrdiff_t(array.stride(0)), ptrdiff_t(array.stride(1))};
+}
+
+void write_display_array(const StridedPixels& rgba, const StridedImage& image, float largest) {
+    const size_t height = image.shape(0), width = image.shape(1), channels = image.shape(2);
+    if (rgba.shape(0) != height || rgba.shape(1) != width || rgba.shape(2) != 4 || (channels != 1 && channels != 3))
+        throw InputError("An image [H, W, 1 or 3] is displayed as pixels [H, W, 4].");
+    const auto in = pixels_of<const float>(image);
+    const auto out = pixels_of<float>(rgba);
+    nb::gil_scoped_release release;
+    write_display(in, int(height), int(width), int(channels), largest, out);
+}
+#endif
+
 // --- Module ----------------------------------------------------------------------------------------------------------
 
 void bind_device(nb::module_& module) {
@@ -318,6 +342,7 @@ void bind_device(nb::module_& module) {
 #endif
     });
     module.attr("has_avx2_build") = bool(SVGF_HAS_AVX2_BUILD);
+    module.def("write_display", &write_display_array, "rgba"_a.noconvert(), "image"_a, "largest"_a);
 #endif
 
     nb::class_<Device>(module, "Device")

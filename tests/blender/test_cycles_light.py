@@ -8,6 +8,7 @@ deviations of the difference of the means (error rate 1e-5 each) and half a perc
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import bpy
@@ -65,8 +66,12 @@ def render_svgf(samples: int, seed: int) -> np.ndarray:
     return np.dstack([frame.noisy, alpha]).astype(np.float64)
 
 
-def assert_same_picture(path: Path, samples: int = SAMPLES, bias: float = 0.005) -> None:
-    cycles = [render_cycles(path, samples, seed) for seed in (1, 2)]
+def assert_same_picture(
+    path: Path, samples: int = SAMPLES, bias: float = 0.005, in_cycles: AbstractContextManager = nullcontext()
+) -> None:
+    """in_cycles: entered while Cycles renders."""
+    with in_cycles:
+        cycles = [render_cycles(path, samples, seed) for seed in (1, 2)]
     ours = [render_svgf(samples, seed) for seed in (1, 2)]
     means = [np.mean(pair, axis=0) for pair in (cycles, ours)]
     # Of one pixel two samples say little about the variance; its neighbours have about the same.

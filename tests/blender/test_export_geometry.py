@@ -239,6 +239,23 @@ def test_particle_instances():
     assert len(set(scene.instances.object_id)) == 22
 
 
+def test_simplified_child_particles():
+    """Half of ten for each particle."""
+    quad, leaf = add_mesh("Emitter"), add_mesh("Leaf", location=(0, 0, -50))
+    quad.modifiers.new("Particles", "PARTICLE_SYSTEM")
+    settings = quad.particle_systems[0].settings
+    settings.count, settings.frame_start, settings.frame_end = 8, 0, 1
+    settings.render_type, settings.instance_object = "OBJECT", leaf
+    settings.child_type, settings.child_percent, settings.rendered_child_count = "SIMPLE", 10, 10
+    render, counts = bpy.context.scene.render, []
+    for simplified in (False, True):
+        render.use_simplify = simplified
+        render.simplify_child_particles = render.simplify_child_particles_render = 0.5
+        bpy.context.scene.frame_set(2)
+        counts.append(len(export().instances.mesh) - 2)
+    assert counts == [80, 40]
+
+
 def test_vertex_instances_replace_instancer_and_child(tmp_path):
     parent = add_mesh("Parent")
     parent.instance_type = "VERTS"

@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normal maps against Cycles: on a coarse smooth ball, where the tangents of triangles are far from MikkTSpace's."""
+"""Normal maps against Cycles: on a coarse smooth ball, where the tangents of triangles are far from MikkTSpace's.
+
+A map is relative to the corners' normals as they are interpolated, of a length below 1 [Mikkelsen08]; so it is baked,
+and so Cycles of Blender 5.0 reads it. That of 5.2 makes them as long as 1 first, so that U's share of the slopes on this
+ball is up to 4 % smaller. There its own nodes undo that before the pictures are compared.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import bpy
 import numpy as np
@@ -41,11 +49,45 @@ def ball(shader: str, mirrored: bool = False, **inputs) -> tuple[bpy.types.NodeT
     return tree, target, normal
 
 
+@contextmanager
+def interpolated_normals(obj: bpy.types.Object, tree: bpy.types.NodeTree, normal: bpy.types.Node) -> Iterator[None]:
+    """Has Cycles read the map relative to normals of the length they are interpolated with.
+
+    With n of length l, MikkTSpace's x t + y (n x t) + z n is that of the unit normal with y l and z l.
+    """
+    if bpy.app.version < (5, 2, 0):
+        yield
+        return
+    mesh, color = obj.data, normal.inputs["Color"]
+    normals = np.empty(3 * len(mesh.loops), np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+    mesh.attributes.new("interpolated", "FLOAT_VECTOR", "CORNER").data.foreach_set("vector", normals)
+    source = color.links[0].from_socket
+    attribute = tree.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_name = "interpolated"
+    length, scale = (tree.nodes.new("ShaderNodeVectorMath") for _ in range(2))
+    length.operation, scale.operation = "LENGTH", "MULTIPLY_ADD"
+    factors, offset = tree.nodes.new("ShaderNodeCombineXYZ"), tree.nodes.new("ShaderNodeVectorMath")
+    factors.inputs["X"].default_value = 1.0
+    # The map's numbers are 0.5 + 0.5 x: (color - 0.5) l + 0.5.
+    offset.operation, offset.inputs[1].default_value = "SUBTRACT", (0.5, 0.5, 0.5)
+    scale.inputs[2].default_value = (0.5, 0.5, 0.5)
+    tree.links.new(attribute.outputs["Vector"], length.inputs[0])
+    for axis in "YZ":
+        tree.links.new(length.outputs["Value"], factors.inputs[axis])
+    tree.links.new(source, offset.inputs[0])
+    tree.links.new(offset.outputs["Vector"], scale.inputs[0])
+    tree.links.new(factors.outputs["Vector"], scale.inputs[1])
+    tree.links.new(scale.outputs["Vector"], color)
+    yield
+    tree.links.new(source, color)
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_tangents(tmp_path, mirrored):
     tree, shader, normal = ball("ShaderNodeBsdfDiffuse", mirrored, Color=(0.8, 0.8, 0.8))
     tree.links.new(normal.outputs["Normal"], shader.inputs["Normal"])
-    assert_same_picture(tmp_path)
+    assert_same_picture(tmp_path, in_cycles=interpolated_normals(bpy.context.object, tree, normal))
 
 
 def test_tangents_of_triangles_would_show(monkeypatch):

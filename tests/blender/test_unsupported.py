@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import bpy
+import numpy as np
 import pytest
-from blend import add_light, add_material, add_mesh, add_world, export
+from blend import add_image, add_light, add_material, add_mesh, add_world, export, principled
 
 
 def cycles_of(owner: bpy.types.ID) -> bpy.types.PropertyGroup:
@@ -77,6 +78,21 @@ def opaque_shadows() -> None:
     add_material("Leaf", bpy.data.objects["Quad"], Alpha=0.5).use_transparent_shadow = False
 
 
+def bumps_without_correction() -> None:
+    image = add_image("bumps", np.random.default_rng(0).random((4, 4, 4)), "Non-Color", is_float=True)
+    quad = bpy.data.objects["Quad"]
+    quad.data.uv_layers.new()
+    material = add_material("Bark", quad)
+    tree = material.node_tree
+    texture, normal = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeNormalMap")
+    texture.image = image
+    tree.links.new(texture.outputs["Color"], normal.inputs["Color"])
+    tree.links.new(normal.outputs["Normal"], principled(material).inputs["Normal"])
+    assert not export().warnings
+    cycles_of(material).use_bump_map_correction = False
+    material.update_tag()
+
+
 CASES = {
     "stereo": (scene_with(use_multiview=True), 'Scene "Scene": stereoscopy is not supported'),
     "Freestyle": (scene_with(use_freestyle=True), 'Scene "Scene": Freestyle is not supported'),
@@ -85,6 +101,9 @@ CASES = {
         'Scene "Scene": transparent glass is not supported',
     ),
     "fast global illumination": (cycles_with(use_fast_gi=True), 'Scene "Scene": fast global illumination'),
+    "pixel filter": (cycles_with(pixel_filter_type="GAUSSIAN"), 'Scene "Scene": Cycles\' pixel filter is not'),
+    "width of the pixel filter": (cycles_with(filter_width=3), 'Scene "Scene": Cycles\' pixel filter is not'),
+    "bumps without correction": (bumps_without_correction, 'Material "Bark": bumps without Cycles\' bump map'),
     "culling": (cycles_with(simplify=True, use_camera_cull=True), 'Scene "Scene": culling of objects'),
     "texture limit": (
         cycles_with(simplify=True, texture_limit_render="128"),
@@ -117,8 +136,11 @@ def test_it_is_named_once(name):
 
 
 def test_what_has_no_effect_is_not_named():
-    """Culling and limits count with Simplify on, transparent glass with a transparent film, opaque shadows of glass."""
+    """Culling and limits count with Simplify on, transparent glass with a transparent film, opaque shadows of glass,
+    corrections with bumps; svgf has a box filter itself, which knows no width."""
     quad = add_mesh()
     cycles_with(use_camera_cull=True, texture_limit_render="128", film_transparent_glass=True)()
-    add_material("Wall", quad).use_transparent_shadow = False
+    cycles_with(pixel_filter_type="BOX", filter_width=3)()
+    wall = add_material("Wall", quad)
+    wall.use_transparent_shadow = cycles_of(wall).use_bump_map_correction = False
     assert not export().warnings

@@ -19,6 +19,8 @@ from mathutils import Quaternion
 from window import override, picture, play, session, settled, space, start_engine
 from svgf_blender.viewport.picture import OVERLAYS
 
+draw_times: list[float] = []
+
 
 def script() -> Iterator[float]:
     scene = start_engine()
@@ -28,10 +30,11 @@ def script() -> Iterator[float]:
     assert session().result.reset == "first frame" and session().result.samples == 8
     yield from picture("cube")
 
-    drawn, used = session().result.number, time.process_time()
+    drawn, draws, used = session().result.number, len(draw_times), time.process_time()
     yield 2.0
     assert session().result.number == session().drawn == drawn, "At its sample limit a view rests."
-    print(f"at rest: {time.process_time() - used:.2f} s of processors in 2 s")
+    assert len(draw_times) == draws, "At rest nothing is drawn."
+    print(f"at rest: {time.process_time() - used:.2f} s of processors in 2 s, {draws} draws before")
 
     yield from orbit()
     assert session().counters.exports == 1, "Orbiting exports nothing."
@@ -129,4 +132,15 @@ def outline_matches(scene: bpy.types.Scene) -> bool:
     return bool(np.abs(seen - expected).max() <= 1.0)
 
 
+def note_draws() -> None:
+    draw = views.draw
+
+    def noted(*arguments) -> None:
+        draw_times.append(time.monotonic())
+        draw(*arguments)
+
+    views.draw = noted
+
+
+note_draws()
 play(script)
