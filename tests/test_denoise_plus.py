@@ -10,7 +10,7 @@ from scipy import ndimage
 from svgf.denoiser import Denoiser
 from svgf.metrics import relative_mse
 from svgf.reference.denoiser import Denoiser as ReferenceDenoiser
-from svgf.settings import DenoiseSettings
+from svgf.settings import DenoiseSettings, PlusStep
 
 from .test_denoise_stages import GUIDES, HEIGHT, WIDTH, as_reference_images, make_images, run
 from .test_denoiser import make_frame
@@ -141,6 +141,27 @@ def test_frames_agree_with_the_reference(device):
     assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
     np.testing.assert_allclose(actual["history_length"], expected["history_length"], atol=0.5)
     assert native.fireflies[0] == pytest.approx(reference.fireflies[0], abs=2)
+
+
+@pytest.mark.parametrize("step", PlusStep, ids=lambda step: step.name)
+def test_each_step_can_be_left_out(device, step):
+    """For bench ablation: then the picture is another one, and still the reference's."""
+    if device.name == "reference":
+        pytest.skip("against itself")
+    rng = np.random.default_rng(37)
+    settings = DenoiseSettings(steps=int(DenoiseSettings().steps & ~step))
+    whole, native, reference = (
+        Denoiser(40, 24, where, "svgf+", given)
+        for where, given in ((device, DenoiseSettings()), (device, settings), ("reference", settings))
+    )
+    roughness = rng.uniform(0.0, 0.6, (24, 40)).astype(np.float32)
+    for _ in range(28 if step == PlusStep.HAND_OVER else 4):
+        frame = {**noisy_frame(rng), "roughness": roughness}
+        frame["specular"], frame["specular_albedo"] = noisy_frame(rng)["diffuse"], frame["diffuse_albedo"]
+        actual, expected, usual = (denoiser.denoise(frame)["color"] for denoiser in (native, reference, whole))
+    error = np.abs(actual - expected).max(axis=-1) / expected.max(axis=-1)
+    assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
+    assert (np.abs(usual - actual).max(axis=-1) / actual.max(axis=-1)).mean() > 0.01
 
 
 @pytest.mark.parametrize("signals", ["diffuse and specular", "color"])

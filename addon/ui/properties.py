@@ -115,14 +115,15 @@ def _number_property(item: Field) -> Any:
     )
 
 
+# Without the steps, which are there to be measured.
+_DENOISE_SETTINGS = [item for item in fields(DenoiseSettings) if item.name not in ("frame_rate", "steps")]
+
 SVGFDenoiseSettings = type(
     "SVGFDenoiseSettings",
     (bpy.types.PropertyGroup,),
     {
         "__doc__": "svgf.DenoiseSettings, field by field; the frame rate is that of Blender's output.",
-        "__annotations__": {
-            item.name: _number_property(item) for item in fields(DenoiseSettings) if item.name != "frame_rate"
-        },
+        "__annotations__": {item.name: _number_property(item) for item in _DENOISE_SETTINGS},
     },
 )
 
@@ -278,8 +279,7 @@ class SVGFSettings(bpy.types.PropertyGroup):
 
     def to_settings(self, samples: int | None = None) -> Settings:
         """The settings of a render; samples: instead of the file's. Raises InputError like Settings."""
-        names = [item.name for item in fields(DenoiseSettings) if item.name != "frame_rate"]
-        denoise = {name: _as_written(getattr(self.denoise, name)) for name in names}
+        denoise = {item.name: _as_written(getattr(self.denoise, item.name)) for item in _DENOISE_SETTINGS}
         render = self.id_data.render
         light_paths = {}
         if self.use_own_light_paths:

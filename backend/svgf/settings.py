@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import difflib
+import enum
 import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
@@ -14,6 +15,16 @@ from .light_paths import LIGHT_PATH_RANGES, LightPaths
 METHODS = ("svgf+", "svgf", "eaw", "none")
 SIGNALS = ("diffuse_specular", "direct_indirect")
 PIXEL_FILTERS = ("auto", "box", "center")
+
+
+class PlusStep(enum.IntFlag):
+    """Bits of DenoiseSettings.steps; PlusStep in backend/native/denoise/settings.h says what they are."""
+
+    LOCAL_MEAN = 1
+    STRUCTURE = 2
+    BOTH_VARIANCES = 4
+    GLOSS = 8
+    HAND_OVER = 16
 
 
 def _setting(
@@ -91,7 +102,7 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
-        0.15, 1e-3, 1e6,
+        0.2, 1e-3, 1e6,
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
         unit="standard deviations",
     )  # fmt: skip
@@ -123,6 +134,10 @@ class DenoiseSettings:
     antialias_frames: float = _setting(
         3.5, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
         unit="frames",
+    )  # fmt: skip
+    steps: int = _setting(
+        31, 0, 31,
+        "svgf+: a bit for each step that no other setting switches off, to measure what it gives; see PlusStep.",
     )  # fmt: skip
     eaw_sigma_color: float = _setting(
         4.0, 1e-6, 1e6, "Colour differences that count as noise at level 0; halved at each level.",
@@ -156,6 +171,9 @@ class DenoiseSettings:
 
     def as_dict(self) -> dict[str, float]:
         return asdict(self)
+
+    def has(self, step: PlusStep) -> bool:
+        return bool(self.steps & step)
 
     @property
     def longest_history(self) -> float:

@@ -28,7 +28,7 @@
 // The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
 //
-// What stands still goes on, after `still_frames`, with the plain mean of the noisy frames: the denoised one was the
+// What stands still goes on, after `hand_over_frames`, with the plain mean of the noisy frames: the denoised one was the
 // best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 // Where it is known that nothing changes, nothing is tested: a rare sample in a pixel of several surfaces is no change.
@@ -61,7 +61,7 @@ namespace svgf {
 constexpr float moving_box = 1.0f, still_box = 4.0f;
 // Of the geometric mean of brightness, where something moves: where the average begins to compress.
 constexpr float moving_white = 16.0f;
-constexpr float still_frames = 24.0f;
+constexpr float hand_over_frames = 24.0f;
 // Deviation of the mean of noisy frames, over brightness: up to it they are taken as they are, none of them at twice as
 // much. The most that one of them moves that mean, over brightness.
 constexpr float visible_noise = 0.1f, largest_step = 0.05f;
@@ -99,7 +99,7 @@ struct Antialias : Tiles {
     int motion_channels;
     typename Storage::Moments in_moments[Signals];  // of temporal
     const float* in_emission;
-    float antialias_frames;
+    float antialias_frames, still_frames;  // still_frames: see hand_over_frames
     typename Storage::Color out_history;
     float* out_color;  // [H, W, 3]
 

@@ -168,7 +168,9 @@ NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
     frame.in_depth = inputs.depth;
     frame.in_depth_gradient = inputs.depth_gradient;
     frame.in_object_id = inputs.object_id;
-    if (method_ == DenoiseMethod::svgf_plus && inputs.is_specular[Signals - 1]) frame.in_roughness = inputs.roughness;
+    if (method_ == DenoiseMethod::svgf_plus && inputs.is_specular[Signals - 1] &&
+        settings_.has(PlusStep::gloss))
+        frame.in_roughness = inputs.roughness;
     return frame;
 }
 
@@ -231,6 +233,8 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
     stage.history_fix_radius = settings_.history_fix_radius;
+    stage.young_frames = settings_.has(PlusStep::local_mean) ? local_mean_frames : 0.0f;
+    stage.structure_share = settings_.has(PlusStep::structure) ? noise_structure_share : 1.0f;
     constexpr float never = 1e6f;
     stage.is_unchanged = inputs.is_unchanged;
     stage.out_repaired = repaired_.data();
@@ -276,6 +280,7 @@ void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStora
     for (int s = 0; s < Signals; ++s) stage.in_moments[s] = moments_of<Storage>(moments_, s);
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
+    stage.still_frames = settings_.has(PlusStep::hand_over) ? hand_over_frames : largest_float;
     stage.out_history = {previous_guides_.data()};
     stage.out_color = modulate.out_color;
     launch_tiles("modulate+antialias", stage);
@@ -325,7 +330,7 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         else launch.template operator()<Filter, 2>();
     };
     if constexpr (std::is_same_v<Method, Plus>)
-        if (all_sharp_) return launch_level.template operator()<SharpPlus>();
+        if (all_sharp_ || !settings_.has(PlusStep::both_variances)) return launch_level.template operator()<SharpPlus>();
     launch_level.template operator()<Method>();
 }
 

@@ -211,8 +211,7 @@ private:
     template <int Signals> void edge_avoiding(int level, const Vec4& window, Place from, Place to);
     template <class Storage, int Signals>
     Modulate<Storage, Signals> modulate(const DenoiseInputs& inputs, const DenoiseOutputs& outputs, Place from);
-    template <class Method, int Signals>
-    HostImages run_stage_of(const std::string& stage, const HostImages& arrays, int level);
+    template <class Method, int Signals> class StageRun;
 
     template <class Stage> void launch(const char* name, const Stage& stage);
     template <class Stage> void launch_tiles(const char* name, const Stage& stage);

@@ -39,7 +39,7 @@ namespace svgf {
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
     SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                  \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
-    SETTING(change_threshold, float, 0.15, 1e-3, 1e6, "standard deviations", "",                                       \
+    SETTING(change_threshold, float, 0.2, 1e-3, 1e6, "standard deviations", "",                                        \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
     SETTING(specular_change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                               \
             "svgf+: the same of the specular signal, whose deviation leaves out what looks like structure.")           \
@@ -55,6 +55,8 @@ namespace svgf {
             "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \
     SETTING(antialias_frames, float, 3.5, 1.0, 1024.0, "frames", "",                                                   \
             "svgf+: frames over which the picture is resolved where something moves. 1: not at all.")                  \
+    SETTING(steps, int, 31, 0, 31, "", "",                                                                             \
+            "svgf+: a bit for each step that no other setting switches off, to measure what it gives; see PlusStep.")  \
     SETTING(eaw_sigma_color, float, 4.0, 1e-6, 1e6, "demodulated radiance", "sigma_rt",                                \
             "Colour differences that count as noise at level 0; halved at each level.")                                \
     SETTING(eaw_sigma_normal, float, 0.3, 1e-6, 1e6, "", "sigma_n",                                                    \
@@ -62,12 +64,23 @@ namespace svgf {
     SETTING(eaw_sigma_position, float, 0.3, 1e-6, 1e6, "m", "sigma_x",                                                 \
             "Distance between world positions that the filter crosses.")
 
+// Bits of `steps`. All are looked at before a launch, so that no kernel pays for them.
+enum class PlusStep : int {
+    local_mean = 1,      // diffuse light begins with the mean of the 3x3 samples
+    structure = 2,       // what looks like the border of a reflection is no noise
+    both_variances = 4,  // Eq. 5 over the larger variance of both pixels
+    gloss = 8,           // rough reflections are filtered as diffuse light
+    hand_over = 16       // what stands still goes over to the mean of the noisy frames
+};
+
 struct DenoiseSettings {
 #define SVGF_MEMBER(name, type, fallback, minimum, maximum, unit, symbol, meaning) type name = type(fallback);
     SVGF_DENOISE_SETTINGS(SVGF_MEMBER)
 #undef SVGF_MEMBER
 
     bool operator==(const DenoiseSettings&) const = default;
+
+    bool has(PlusStep step) const { return (steps & int(step)) != 0; }
 
     // svgf+: in frames, where something moves.
     float longest_history() const {

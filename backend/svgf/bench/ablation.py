@@ -19,10 +19,17 @@ from ..frame import Frame
 from ..metrics import Flicker, flip, relative_mse
 from ..renderer import Renderer
 from ..scene import Scene
-from ..settings import Settings
+from ..settings import DenoiseSettings, PlusStep, Settings
 from .accuracy import count_unmeasured
 
 WHOLE = "whole"
+_STEPS = {
+    PlusStep.LOCAL_MEAN: "3x3 mean of new light",
+    PlusStep.STRUCTURE: "variance without structure",
+    PlusStep.BOTH_VARIANCES: "both pixels' variances",
+    PlusStep.GLOSS: "gloss",
+    PlusStep.HAND_OVER: "hand-over to noisy frames",
+}
 # Per method: what is switched off, and the settings that do it.
 STEPS: dict[str, dict[str, dict[str, float]]] = {
     "none": {},
@@ -38,6 +45,7 @@ STEPS: dict[str, dict[str, dict[str, float]]] = {
         "temporal gradient": {"change_threshold": 1e6, "specular_change_threshold": 1e6},
         "history clamp": {"history_clamp": 1e6, "specular_history_clamp": 1e6},
         "specular sharpness": {"specular_sharpness": 1.0},
+        **{_STEPS[step]: {"steps": int(DenoiseSettings().steps & ~step)} for step in PlusStep},
         "antialias": {"antialias_frames": 1.0},
         "depth weight": {"sigma_depth": 1e6},
         "normal weight": {"plus_sigma_normal": 1e-3},

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..settings import PlusStep
 from .guides import namespace
 
 # Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
@@ -85,7 +86,7 @@ def antialias(
 
     known = frames > 0.5
     still &= known
-    settled = still & (frames > STILL_FRAMES - 0.5)
+    settled = still & (frames > STILL_FRAMES - 0.5) & settings.has(PlusStep.HAND_OVER)
     uncertain = STILL_BOX * xp.sqrt(noise / xp.maximum(frames, 1.0)) / (white + color.max(axis=-1) + 1e-30)
     margin = xp.where(settled, STILL_MARGIN + uncertain, 0.0)[..., None]
     moving = xp.maximum(MOVING_BOX * deviation, xp.abs(map_(color) - mean))

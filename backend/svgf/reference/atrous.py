@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..settings import PlusStep
 from .guides import Guides, edge_weight, luminance, namespace, tap
 
 # B3 spline, taps 0, 1, 2 away from the centre [Dammertz10].
@@ -81,6 +82,8 @@ def atrous_plus(
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
     filtered = [prefilter(v, guides) if level == 0 else v for v in variance]
+    if not settings.has(PlusStep.BOTH_VARIANCES):
+        gloss = [1.0 for _ in color]
     blunt = [xp.broadcast_to(1.0 - (0.0 if g is None else g), guides.depth.shape) for g in gloss]
     weight = [xp.zeros(light[0].shape) for _ in color]
     color_sum = [xp.zeros(c.shape) for c in color]

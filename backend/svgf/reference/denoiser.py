@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import InputError
-from ..settings import METHODS, DenoiseSettings, check_name
+from ..settings import METHODS, DenoiseSettings, PlusStep, check_name
 from .antialias import Resolved, antialias
 from .atrous import atrous, atrous_plus, edge_avoiding
 from .demodulate import demodulate, repair, signal_albedo
@@ -122,7 +122,8 @@ class Denoiser:
                 )  # fmt: skip
             repaired += count
             color = self.history.color
-            gloss, bad = _gloss(signals, inputs, guides)
+            roughness = inputs.get("roughness") if self.settings.has(PlusStep.GLOSS) else None
+            gloss, bad = _gloss(signals, roughness, guides)
             repaired += bad
             length = xp.minimum.reduce(self.history.frames)
             for level in range(self.settings.levels):
@@ -245,7 +246,7 @@ class Denoiser:
                 window = arrays.get("window", DEFAULT_WINDOW)
                 return _numbered("color", edge_avoiding(color, guides, window, level, self.settings))
             if self.method == "svgf+":
-                gloss, _ = _gloss(["diffuse", "specular"][: len(color)], arrays, guides)
+                gloss, _ = _gloss(["diffuse", "specular"][: len(color)], arrays.get("roughness"), guides)
                 color, spread = atrous_plus(color, _listed(arrays, "variance"), gloss, guides, level, self.settings)
             else:
                 color, spread = atrous(color, _listed(arrays, "variance"), guides, level, self.settings)
@@ -314,10 +315,9 @@ def _with_reflections(signals: list[str]) -> list[bool]:
     return [signal != "diffuse" for signal in signals]
 
 
-def _gloss(signals: list[str], images: dict[str, Any], guides: Guides) -> tuple[list[Any], int]:
+def _gloss(signals: list[str], roughness: Any, guides: Guides) -> tuple[list[Any], int]:
     """Per signal as ``atrous_plus`` takes it; and on how many surfaces the roughness was none."""
     gloss: list[Any] = [1.0 if reflects else None for reflects in _with_reflections(signals)]
-    roughness = images.get("roughness")
     if roughness is None or "specular" not in signals:
         return gloss, 0
     gloss[signals.index("specular")] = gloss_of(roughness)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..settings import PlusStep
 from .guides import Guides, luminance, namespace, tap
 from .reprojection import LEAST_TAP_WEIGHT, Reprojection, reproject
 
@@ -18,7 +19,7 @@ LARGEST_RESIDUAL = 4.0
 # Spacing of the nine pixels whose drift is averaged.
 DRIFT_SPACING = 3
 # Rise of the threshold whenever history has doubled beyond these frames.
-THRESHOLD_RISE = 0.1
+THRESHOLD_RISE = 0.05
 THRESHOLD_FRAMES = 16.0
 # Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
 YOUNG_FRAMES = 4.0
@@ -122,12 +123,12 @@ def temporal_plus(
         if is_specular[s]:
             least = _least_second_difference(luminance(sample), [luminance(color) for color in taps], near)
             noise = xp.minimum(spread, SECOND_DIFFERENCE_SCALE * least)
-            spread = noise + STRUCTURE_SHARE * (spread - noise)
+            spread = noise + (STRUCTURE_SHARE if settings.has(PlusStep.STRUCTURE) else 1.0) * (spread - noise)
 
         # Light that has changed.
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
         threshold = settings.specular_change_threshold if is_specular[s] else settings.change_threshold
-        threshold = (NEVER if unchanged else threshold) * (1.0 + THRESHOLD_RISE * doublings)
+        threshold = (NEVER if unchanged else threshold) + THRESHOLD_RISE * doublings
         kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
@@ -153,7 +154,7 @@ def temporal_plus(
         uncertain = xp.minimum(NARROWING_FRAMES / n, 1.0) if unchanged else 1.0
         if is_specular[s]:
             uncertain = uncertain * (1.0 + YOUNG_SPECULAR / n)
-        if not has_reflections[s]:
+        if not has_reflections[s] and settings.has(PlusStep.LOCAL_MEAN):
             sample = xp.where((n <= YOUNG_FRAMES)[..., None], mean, sample)
 
         colors.append(xp.where(surface[..., None], past + (sample - past) / n[..., None], new))
