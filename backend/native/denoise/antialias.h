@@ -28,8 +28,8 @@
 // The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
 //
-// What stands still goes on, after `hand_over_frames`, with the plain mean of the noisy frames: the denoised one was the
-// best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
+// What stands still goes on, after `hand_over_frames`, with the plain mean of the noisy frames: the denoised one was
+// the best there was; from then on it is one sample of many, and weighs less and less. Light that changes ends this:
 // temporal says so, or the denoised frame, against which the mean is tested with a wider box.
 // Where it is known that nothing changes, nothing is tested: a rare sample in a pixel of several surfaces is no change.
 // And the mean goes over from denoised to noisy frames as far as the noise that is left in it is hardly seen; where

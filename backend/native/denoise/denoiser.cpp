@@ -330,7 +330,8 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         else launch.template operator()<Filter, 2>();
     };
     if constexpr (std::is_same_v<Method, Plus>)
-        if (all_sharp_ || !settings_.has(PlusStep::both_variances)) return launch_level.template operator()<SharpPlus>();
+        if (all_sharp_ || !settings_.has(PlusStep::both_variances))
+            return launch_level.template operator()<SharpPlus>();
     launch_level.template operator()<Method>();
 }
 
