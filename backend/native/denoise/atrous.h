@@ -17,11 +17,12 @@
 //   own box and arcade over OIDN's, frames 5 to 16: 1.75 .895 and .977 .886 at every level, 1.64 .877 and .961 .882 so.
 // - At the border of a sharp reflection the dark side is certain indeed: the glossier a tap's surface is, the less its
 //   variance counts for the specular signal, and a mirror's not at all.
-//   Our own tracer's box of metal and glass, its arcade and its toys, whole pictures of frames 5, 8, 12 and 16; relMSE
-//   and FLIP over those of OIDN 2.5.1, and the mean of the last over the truth's:
+//   Our own tracer's box of metal and glass, its arcade and its toys, whole pictures of all frames from the fifth on;
+//   relMSE and FLIP over those of OIDN 2.5.1:
 //
-//     all reflections taken for sharp     1.77 1.014 0.981     1.03 0.977 0.970     1.31 0.791 0.969
-//     by their gloss                      1.92 0.922 0.987     1.01 0.888 0.978     1.40 0.776 0.979
+//     the centre's variance alone         1.24 1.123     1.02 1.110     1.25 .768
+//     all reflections taken for sharp     1.39 0.980     0.98 0.967     1.27 .774
+//     by their gloss                      1.55 0.870     0.95 0.862     1.38 .758
 // From [Dammertz10], of which the text and the listing at its end disagree: weights are Gaussians of squared distances,
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.
