@@ -95,6 +95,11 @@ class DenoiseSettings:
         "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.",
         unit="standard deviations",
     )  # fmt: skip
+    history_fix_radius: int = _setting(
+        16, 1, 256,
+        "svgf+: how far around what has just appeared its surface is looked for a frame ago. 1: beside it.",
+        unit="pixels",
+    )  # fmt: skip
     firefly_limit: float = _setting(
         60.0, 1.0, 1e9,
         "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.",

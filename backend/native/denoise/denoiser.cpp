@@ -230,6 +230,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.out_history_length = history_length;
     stage.history_frames = settings_.longest_history();
     stage.firefly_limit = settings_.firefly_limit;
+    stage.history_fix_radius = settings_.history_fix_radius;
     constexpr float never = 1e6f;
     stage.is_unchanged = inputs.is_unchanged;
     stage.change_threshold = inputs.is_unchanged ? never : settings_.change_threshold;

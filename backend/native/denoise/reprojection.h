@@ -87,23 +87,33 @@ struct Reprojection {
     }
 
     // take(pixel, weight) for every tap that saw the surface, and perhaps with weight 0 for others; where they are not
-    // enough, take(pixel, 1) for those of the 3x3 pixels around the nearest one that did.
+    // enough, take(pixel, 1) for those of the 3x3 pixels around the nearest one that did; where none did and `radius`
+    // is larger than 1, for those of 3x3 pixels 2, 4, 8 ... apart, up to that. Returns how far apart they are; 0: the
+    // taps.
     template <class Take>
-    SVGF_HD void visit(const Point& point, const Taps& taps, const Take& take) const {
+    SVGF_HD int visit(const Point& point, const Taps& taps, const Take& take, int radius = 1) const {
         if (taps.are_enough) {
             const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
             SVGF_UNROLL
             for (int k = 0; k < 4; ++k)  // where any bits are a number, a weight of 0 is cheaper than a branch
                 if (!Storage::holds_any_bits || taps.weight[k] > 0.0f)
                     take(prev_guides.nearest_pixel(left + k % 2, top + k / 2), taps.weight[k]);
-            return;
+            return 0;
         }
         const int x = int(std::floor(point.x + 0.5f)), y = int(std::floor(point.y + 0.5f));
         SVGF_NO_UNROLL
-        for (int k = 0; k < 9; ++k) {
-            const int column = x + k % 3 - 1, row = y + k / 3 - 1;
-            if (accepts(column, row, point)) take(prev_guides.pixel(column, row), 1.0f);
+        for (int spacing = 1; spacing <= radius; spacing *= 2) {
+            bool found = false;
+            SVGF_NO_UNROLL
+            for (int k = 0; k < 9; ++k) {
+                const int column = x + (k % 3 - 1) * spacing, row = y + (k / 3 - 1) * spacing;
+                if (!accepts(column, row, point)) continue;
+                take(prev_guides.pixel(column, row), 1.0f);
+                found = true;
+            }
+            if (found) return spacing;
         }
+        return radius;
     }
 
     // A surface with the one that a pixel of the frame before saw.

@@ -41,6 +41,8 @@ namespace svgf {
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
     SETTING(change_threshold, float, 0.3, 1e-3, 1e6, "standard deviations", "",                                        \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
+    SETTING(history_fix_radius, int, 16, 1, 256, "pixels", "",                                                         \
+            "svgf+: how far around what has just appeared its surface is looked for a frame ago. 1: beside it.")       \
     SETTING(firefly_limit, float, 60.0, 1.0, 1e9, "", "",                                                              \
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
     SETTING(specular_sharpness, float, 1.4, 1.0, 1e3, "", "",                                                          \

@@ -24,9 +24,6 @@ constexpr std::uint32_t shared_above = 32768;
 // Primitives that a thread takes at a time there.
 constexpr std::uint32_t chunk = 4096;
 
-// Cost of one level of the binary tree, in triangle tests. A wide node holds about three levels.
-constexpr float level_cost = 0.4f;
-
 struct Bin {
     Bounds box;
     std::uint32_t count = 0;
@@ -120,8 +117,7 @@ struct Extent {
 
 class Builder {
 public:
-    Builder(std::span<Primitive> primitives, int leaf_size, BinaryNode* nodes)
-        : primitives_(primitives), leaf_size_(std::uint32_t(leaf_size)), nodes_(nodes) {}
+    Builder(std::span<Primitive> primitives, BinaryNode* nodes) : primitives_(primitives), nodes_(nodes) {}
 
     void build(int height) {
         const std::uint32_t count = std::uint32_t(primitives_.size());
@@ -168,34 +164,22 @@ private:
     std::span<Primitive> of(const Task& task) const { return primitives_.subspan(task.first, task.count); }
 
     void set_height(std::uint32_t node) {
-        nodes_[node].height = std::uint16_t(
-            1 + std::max(nodes_[node + 1].height, nodes_[nodes_[node].right_or_first].height));
+        nodes_[node].height = 1 + std::max(nodes_[node + 1].height, nodes_[nodes_[node].right].height);
     }
 
     void build_subtree(const Task& task) {
-        Extent extent;
-        extent.add(of(task));
         BinaryNode& node = nodes_[task.node];
-        node.box = extent.box;
-        std::uint32_t left_count = 0;
-        if (task.count > 1) {
-            Bins bins(extent.centres, task.count < few_bins_below ? few_bins : most_bins);
-            bins.add(of(task));
-            const Bins::Split split = bins.best(task.count);
-            // A line or a point has no area: any split is then as good as any other.
-            const float area = extent.box.half_area();
-            const bool pays = area > 0.0f && split.cost / area + level_cost < float(task.count);
-            if (pays || task.count > leaf_size_) left_count = partition(task, extent, bins, split);
-        }
-        if (left_count == 0) {
-            node.right_or_first = task.first;
-            node.count = std::uint16_t(task.count);
-            node.height = 0;
+        if (task.count == 1) {
+            node = {primitives_[task.first].box(), {task.first}, 0};
             return;
         }
+        Extent extent;
+        extent.add(of(task));
+        Bins bins(extent.centres, task.count < few_bins_below ? few_bins : most_bins);
+        bins.add(of(task));
+        const std::uint32_t left_count = partition(task, extent, bins, bins.best(task.count));
         const Task right = task.right(left_count);
-        node.right_or_first = right.node;
-        node.count = 0;
+        node = {extent.box, {right.node}, 1};
         build_subtree(task.left(left_count));
         build_subtree(right);
         set_height(task.node);
@@ -255,7 +239,7 @@ private:
         const Bins::Split split = bins.best(task.count);
         std::uint32_t left_count = split.axis >= 0 ? partition_by_all(task, bins, split) : 0;
         if (left_count == 0 || !task.has_room(left_count)) left_count = halve(task, extent);
-        nodes_[task.node] = {extent.box, task.right(left_count).node, 0, 0};
+        nodes_[task.node] = {extent.box, {task.right(left_count).node}, 1};
         return left_count;
     }
 
@@ -279,16 +263,15 @@ private:
     }
 
     const std::span<Primitive> primitives_;
-    const std::uint32_t leaf_size_;
     BinaryNode* const nodes_;
     HostBuffer<Primitive> sorted_;  // room for partition_by_all
 };
 
 }  // namespace
 
-HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height) {
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int height) {
     HostBuffer<BinaryNode> nodes(2 * primitives.size() - 1);
-    Builder(primitives, leaf_size, nodes.data()).build(height);
+    Builder(primitives, nodes.data()).build(height);
     return nodes;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The binary tree that a wide tree is made of: binned surface area heuristic [Wald07], top down, on all cores.
+// The binary tree that a wide tree is made of, a leaf for each primitive: binned surface area heuristic [Wald07], top
+// down, on all cores.
 #pragma once
 
 #include <cstdint>
@@ -23,16 +24,18 @@ struct alignas(16) Primitive {
 
 struct BinaryNode {
     Bounds box;
-    std::uint32_t right_or_first;  // inner: the right child, the left one is the next node; leaf: its first primitive
-    std::uint16_t count;           // of primitives; 0: inner
-    std::uint16_t height;          // levels below this node
+    union {
+        std::uint32_t right;      // inner: the right child; the left one is the next node
+        std::uint32_t primitive;  // leaf
+    };
+    std::uint32_t height;  // levels below this node; 0: a leaf
 
-    bool is_leaf() const { return count > 0; }
+    bool is_leaf() const { return height == 0; }
 };
 static_assert(sizeof(BinaryNode) == 32);
 
 // The root is node 0; nodes that no one names are not initialised. Sorts the primitives, at least one, into leaf order.
 // height: most levels below the root, of which 2^height must be at least the number of primitives.
-HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int leaf_size, int height);
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int height);
 
 }  // namespace svgf

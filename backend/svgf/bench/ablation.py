@@ -34,6 +34,7 @@ STEPS: dict[str, dict[str, dict[str, float]]] = {
     "svgf+": {
         "temporal mean": {"history_frames": 1.0},
         "firefly limit": {"firefly_limit": 1e9},
+        "history fix": {"history_fix_radius": 1},
         "temporal gradient": {"change_threshold": 1e6},
         "history clamp": {"history_clamp": 1e6, "specular_history_clamp": 1e6},
         "specular sharpness": {"specular_sharpness": 1.0},

@@ -42,13 +42,14 @@ class Reprojection:
                 share = (self.x - left if i else 1.0 - (self.x - left)) * (self.y - top if j else 1.0 - (self.y - top))
                 yield left + i, top + j, xp.where(self._accepts(left + i, top + j), share, 0.0)
 
-    def neighbours(self) -> Iterator[tuple[Any, Any, Any]]:
-        """(column, row, 1 or 0) of the 3x3 pixels around the nearest one."""
+    def neighbours(self, spacing: int = 1) -> Iterator[tuple[Any, Any, Any]]:
+        """(column, row, 1 or 0) of the 3x3 pixels around the nearest one, `spacing` pixels apart."""
         xp = namespace(self.x)
         x, y = xp.floor(self.x + 0.5).astype(int), xp.floor(self.y + 0.5).astype(int)
         for j in (-1, 0, 1):
             for i in (-1, 0, 1):
-                yield x + i, y + j, xp.where(self._accepts(x + i, y + j), 1.0, 0.0)
+                column, row = x + i * spacing, y + j * spacing
+                yield column, row, xp.where(self._accepts(column, row), 1.0, 0.0)
 
     def found(self) -> Any:
         """bool [H, W]: there is history."""

@@ -91,7 +91,7 @@ def temporal_plus(
         repaired = point.repaired
         rows, columns = xp.meshgrid(xp.arange(shape[0]), xp.arange(shape[1]), indexing="ij")
         moves = point.reachable & ((point.x != columns) | (point.y != rows))
-        found, (old_color, old_frames, old_variance, expected) = _read(point, history)
+        found, (old_color, old_frames, old_variance, expected) = _read(point, history, settings.history_fix_radius)
         drifts = [xp.where(found, _around(point, image), 0.0) for image in history.drift]
 
     near = _neighbours(illumination, guides, settings.normal_tolerance)
@@ -146,7 +146,7 @@ def temporal_plus(
         far = found & (distance > allowed)
         kept = xp.where(far, allowed / xp.where(far, distance, 1.0), 1.0)
         past = xp.where(far[..., None], mean + (changed - mean) * kept[..., None], changed)
-        shorter = xp.maximum(left * kept, 1.0) + 1.0
+        shorter = xp.maximum(left * kept, xp.minimum(old_frames[s], 1.0)) + 1.0
         n = xp.where(far, xp.where(moves, xp.minimum(shorter, settings.longest_history), shorter), n)
 
         uncertain = xp.minimum(NARROWING_FRAMES / n, 1.0) if unchanged else 1.0
@@ -206,14 +206,15 @@ def _around(point: Reprojection, image: Any) -> Any:
     return sum(taps) / len(taps)
 
 
-def _read(point: Reprojection, history: HistoryPlus) -> tuple[Any, tuple[list[Any], ...]]:
-    """bool [H, W]: there is history; and its weighted means, per signal."""
+def _read(point: Reprojection, history: HistoryPlus, radius: int) -> tuple[Any, tuple[list[Any], ...]]:
+    """bool [H, W]: there is history; and its weighted means, per signal. Where it is found only farther away than in
+    the 3x3 pixels around, up to the radius, it counts for 0 frames."""
     xp = namespace(point.x)
     height, width = point.x.shape
+    images = [history.color, history.frames, history.variance, history.filtered]
 
     def mean(taps: Any) -> tuple[Any, list[list[Any]]]:
         weight = xp.zeros((height, width))
-        images = [history.color, history.frames, history.variance, history.filtered]
         sums = [[xp.zeros(image.shape) for image in kind] for kind in images]
         for column, row, share in taps:
             row, column = xp.clip(row, 0, height - 1), xp.clip(column, 0, width - 1)
@@ -224,14 +225,20 @@ def _read(point: Reprojection, history: HistoryPlus) -> tuple[Any, tuple[list[An
         safe = xp.where(weight > 0.0, weight, 1.0)
         return weight, [[t / (safe[..., None] if t.ndim == 3 else safe) for t in totals] for totals in sums]
 
-    weight, near = mean(point.bilinear())
-    searched = weight < LEAST_TAP_WEIGHT
-    other_weight, other = mean(point.neighbours())
-    found = xp.where(searched, other_weight, weight) > 0.0
-    return found, tuple(
-        [
-            xp.where(searched[..., None] if a.ndim == 3 else searched, b, a)
-            for a, b in zip(first, second, strict=True)
+    weight, means = mean(point.bilinear())
+    found = weight >= LEAST_TAP_WEIGHT
+    spacing = 1
+    while spacing <= radius:
+        weight, others = mean(point.neighbours(spacing))
+        if spacing > 1:
+            others[1] = [xp.zeros((height, width)) for _ in history.frames]
+        means = [
+            [
+                xp.where(found[..., None] if a.ndim == 3 else found, a, b)
+                for a, b in zip(first, second, strict=True)
+            ]
+            for first, second in zip(means, others, strict=True)
         ]
-        for first, second in zip(near, other, strict=True)
-    )
+        found = found | (weight > 0.0)
+        spacing *= 2
+    return found, tuple(means)
