@@ -24,8 +24,6 @@ _BORROWED = {
     "EEVEE_WORLD_PT_surface",
     "VIEWLAYER_PT_override",
 }
-
-
 # Settings of denoisers that are for artists; the others are the papers' own.
 _EVERYDAY = {"levels", "history_frames", "history_seconds", "firefly_limit"}
 # Settings of svgf that svgf+ reads too.

@@ -7,7 +7,7 @@ from __future__ import annotations
 STILL_SECONDS = 0.3
 
 _DIVISORS = (1, 2, 3, 4, 6, 8)
-_UNKNOWN = 4  # before the first frame has told what a pixel costs
+_FIRST_PIXELS = 10_000  # as many as any processor makes at once, before a frame has told what a pixel costs
 
 
 class Resolution:
@@ -41,7 +41,6 @@ class Resolution:
         return now >= self._changed + STILL_SECONDS
 
     def _needed(self, pixels: int, budget: float) -> int:
-        if self._milliseconds_per_pixel is None:
-            return _UNKNOWN
-        milliseconds = self._milliseconds_per_pixel * pixels
-        return next((each for each in _DIVISORS if milliseconds <= budget * each**2), _DIVISORS[-1])
+        known = self._milliseconds_per_pixel is not None
+        cost, limit = (self._milliseconds_per_pixel * pixels, budget) if known else (pixels, _FIRST_PIXELS)
+        return next((each for each in _DIVISORS if cost <= limit * each**2), _DIVISORS[-1])

@@ -27,7 +27,6 @@ _STATISTICS_SECONDS = 0.25  # between readings of images that only panels show
 _RUNS = 4  # launches with and without each effect that is measured
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
-
 Part = tuple[float, float, float, float]
 WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
 

@@ -44,7 +44,7 @@ def test_changes_in_a_row_keep_the_coarsest(resolution):
     assert resolution.choose(PIXELS, 25, 20.0, changed=True) == 1
 
 
-def test_first_frame_is_coarse_until_its_cost_is_known():
-    resolution = Resolution()
-    assert resolution.choose(PIXELS, 50, 10.0, changed=True) > 1
-    assert Resolution().choose(PIXELS, 0, 10.0, changed=True) == 1
+@pytest.mark.parametrize(("width", "height", "divisor"), [(100, 100, 1), (640, 480, 6), (1920, 1080, 8)])
+def test_first_frame_is_coarse_until_its_cost_is_known(width, height, divisor):
+    assert Resolution().choose(width * height, 50, 10.0, changed=True) == divisor
+    assert Resolution().choose(width * height, 0, 10.0, changed=True) == 1

@@ -204,6 +204,7 @@ def test_failed_export_is_shown_and_made_up_for(session, monkeypatch):
 def test_budget_makes_the_picture_coarser_while_the_view_moves(session, monkeypatch):
     now = [0.0]
     monkeypatch.setattr("svgf_blender.viewport.session.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("svgf_blender.viewport.resolution._FIRST_PIXELS", 6 * 3)
     first = show(session, budget=50)[-1].scene.defaults
     assert (first.width, first.height) == (6, 3) and session.busy and "1/4" not in session.status()
     now[0] = 1.0
