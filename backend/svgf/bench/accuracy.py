@@ -141,6 +141,7 @@ def plot(rows: Sequence[Accuracy], title: str) -> bytes:
     import io
 
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     scenes = list(dict.fromkeys(row.scene for row in rows))
     errors = (("relmse", "relMSE"), ("flip", "FLIP"), ("flicker", "flicker"))
@@ -164,10 +165,14 @@ def plot(rows: Sequence[Accuracy], title: str) -> bytes:
                     )
             axes.set_ylabel(label)
             axes.grid(visible=True, which="both", alpha=0.25)
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+                axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+                axis.set_minor_formatter(NullFormatter())
             if line == 0:
                 axes.set_title(scene)
             if line == len(errors) - 1:
-                axes.set_xlabel("ms per frame (samples per pixel beside the points)")
+                axes.set_xlabel("ms per frame (beside the points: spp)")
             if line == column == 0:
                 axes.legend()
     data = io.BytesIO()
