@@ -16,6 +16,8 @@ from svgf.renderer import Renderer
 from svgf.settings import METHODS, DenoiseSettings, Settings
 
 from ..scenes import MIRROR, WHITE, build, camera, quad, transform
+from ..test_denoise_plus import make_plus_images
+from ..test_denoise_stages import make_images, run
 from ..test_denoiser import HEIGHT, WIDTH, add_noise, make_frame, put_square
 
 TEMPORAL = ("svgf+", "svgf")
@@ -93,6 +95,29 @@ def test_bad_guides_harm_no_neighbour(device, bad, name, method):
     others = np.delete(result["color"].reshape(-1, 3), 12 * WIDTH + 20, axis=0)
     np.testing.assert_allclose(others, 0.5, rtol=tolerance)
     np.testing.assert_allclose(denoiser.denoise(make_frame())["color"], 0.5, rtol=tolerance)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 1e38])
+@pytest.mark.parametrize("image", ["color", "moments"])
+@pytest.mark.parametrize("method", TEMPORAL)
+def test_bad_history_is_gone_a_frame_later(device, method, image, bad):
+    """As a fault in memory would leave it: the next frame is finite, and what does not read that pixel is the same."""
+    if device.name == "reference":
+        pytest.skip("a device's memory is meant")
+    make = make_plus_images if method == "svgf+" else make_images
+    images = make(np.random.default_rng(42))
+    images["motion"] = np.zeros_like(images["motion"])
+    spoilt = {name: values.copy() for name, values in images.items()}
+    y, x = (size // 2 for size in images["depth"].shape)
+    spoilt[f"hist_{image}0"][y, x] = bad
+    good, _ = run(device, method, "temporal", images, history_fix_radius=1)
+    result, _ = run(device, method, "temporal", spoilt, history_fix_radius=1)
+    rows, columns = np.ogrid[: images["depth"].shape[0], : images["depth"].shape[1]]
+    untouched = (abs(rows - y) > 3) | (abs(columns - x) > 3)
+    for name, values in result.items():
+        assert np.isfinite(values).all(), name
+        np.testing.assert_array_equal(values[untouched], good[name][untouched], err_msg=name)
+    assert (result["variance0"] >= 0.0).all()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -0.5, 1.5])
