@@ -527,8 +527,8 @@ def mirror_room(frame: int):
 
 
 def test_denoised_reflections_are_sharp(monkeypatch):
-    """7 % of the error in a mirror is gone: 0.089 without replacement, 0.082 with it. Larger pictures gain more, see
-    trace/specular_chain.h."""
+    """9 % of the error in a mirror is gone, as a mean over eight seeds, of which one says little: 0.104 without
+    replacement, 0.094 with it. Larger pictures gain more, see trace/specular_chain.h."""
     device, errors = open_device("cpu"), {}
     truth = Settings(width=WIDTH, height=HEIGHT, method="none", pixel_filter="center", samples=64, seed=9)
     expected = Renderer(truth, device).render(mirror_room(7)).color
@@ -538,8 +538,10 @@ def test_denoised_reflections_are_sharp(monkeypatch):
             monkeypatch.setattr(
                 "svgf.flatten.find_effects", lambda scene: find_effects(scene) & ~Effects.PERFECT_SPECULAR
             )
-        renderer = Renderer(Settings(width=WIDTH, height=HEIGHT), device)
-        for frame in range(1, 8):
-            color = renderer.render(mirror_room(frame)).color
-        errors[replaced] = relative_mse(color[in_mirror][None], expected[in_mirror][None])
+        errors[replaced] = 0.0
+        for seed in range(8):
+            renderer = Renderer(Settings(width=WIDTH, height=HEIGHT, seed=seed), device)
+            for frame in range(1, 8):
+                color = renderer.render(mirror_room(frame)).color
+            errors[replaced] += relative_mse(color[in_mirror][None], expected[in_mirror][None]) / 8
     assert in_mirror.mean() > 0.3 and errors[True] < 0.95 * errors[False], errors
