@@ -40,8 +40,8 @@ struct Part {
 // 19,440 and 983,042 triangles, within 4 % of the same time.
 constexpr float primitive_cost = 0.7f;
 
-// By the surface area heuristic, the least cost of what each binary node can become: a leaf, a wide node, or up to seven
-// of its parent's children. In visits of the root.
+// By the surface area heuristic, the least cost of what each binary node can become: a leaf, a wide node, or up to
+// seven of its parent's children. In visits of the root.
 class CollapseCosts {
 public:
     CollapseCosts(const HostBuffer<BinaryNode>& nodes, int leaf_size)
@@ -51,7 +51,8 @@ public:
         // The subtrees below the upper levels side by side, then these from the bottom.
         std::vector<std::uint32_t> order{0};
         std::size_t upper = 0;
-        for (; upper < order.size() && order.size() - upper < subtree_count; ++upper) push_children(order[upper], order);
+        for (; upper < order.size() && order.size() - upper < subtree_count; ++upper)
+            push_children(order[upper], order);
         parallel_for(order.size() - upper, 1, [&](std::size_t begin, std::size_t end) {
             std::vector<std::uint32_t> subtree;
             for (std::size_t i = begin; i < end; ++i) {
@@ -119,7 +120,8 @@ private:
             return cost(index + 1, left) + cost(node.right, children - left);
         };
         costs.count = std::min(count(index + 1) + count(node.right), leaf_size_ + 1);
-        const float as_leaf = area * primitive_cost * float(costs.count), as_node = area + split_cost(wide_node_children);
+        const float as_leaf = area * primitive_cost * float(costs.count);
+        const float as_node = area + split_cost(wide_node_children);
         costs.is_leaf = costs.count <= leaf_size_ && as_leaf <= as_node;
         costs.least[0] = costs.is_leaf ? as_leaf : as_node;
         for (std::size_t i = 1; i < costs.least.size(); ++i)

@@ -11,9 +11,10 @@
 //
 // Rays are traced in the order of their pixels. In Sponza, sorted by the octant of their direction and 15 bits of their
 // origin, warps visit 2 % fewer nodes with bounce rays and 6 % fewer with last ones; with 4 bits more of direction 9 %:
-// less than it takes to sort them. A thread keeps its ray until the warp is done. Taking the next one as soon as 8 to 16
-// threads are idle [Aila09] leaves 15 instead of 12 of them at work, but what must then be kept across rays does not fit
-// into the registers: 5.3 instead of 4.0 ms for the rays that surfaces scatter in Sponza (H200), 4.7 with fewer blocks.
+// less than it takes to sort them. A thread keeps its ray until the warp is done. Taking the next one as soon as 8 to
+// 16 threads are idle [Aila09] leaves 15 instead of 12 of them at work, but what must then be kept across rays does not
+// fit into the registers: 5.3 instead of 4.0 ms for the rays that surfaces scatter in Sponza (H200), 4.7 with fewer
+// blocks.
 #pragma once
 
 #include "core/append.h"
