@@ -52,7 +52,7 @@ class Placements:
     """Rows of mesh placements, and the lamps. The lists and matrices have one entry a row.
 
     mesh: index into meshes. matrices: float64 [N, 3, 4], object to world. material_start: into material_table.
-    visibility: bits of RayVisibility.
+    visibility: bits of RayVisibility. terminator_offset: see svgf.scene.Instances.
     """
 
     meshes: list[Mesh] = field(default_factory=list)
@@ -60,6 +60,7 @@ class Placements:
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
     visibility: list[int] = field(default_factory=list)
+    terminator_offset: list[float] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
@@ -219,6 +220,8 @@ class _Collector:
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
         self._placements.visibility.append(int(visibility))
+        # Of an instance its own, not the instancer's, as in Cycles.
+        self._placements.terminator_offset.append(owner.shadow_terminator_geometry_offset)
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""
