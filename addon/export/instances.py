@@ -24,6 +24,8 @@ Key = tuple[str, str, bytes]
 
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
+# A cosine; beyond it nothing changes.
+_LARGEST_TERMINATOR_OFFSET = 1e6
 
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
@@ -221,7 +223,8 @@ class _Collector:
         self._placements.material_start.append(geometry[1])
         self._placements.visibility.append(int(visibility))
         # Of an instance its own, not the instancer's, as in Cycles.
-        self._placements.terminator_offset.append(owner.shadow_terminator_geometry_offset)
+        offset = min(owner.shadow_terminator_geometry_offset, _LARGEST_TERMINATOR_OFFSET)
+        self._placements.terminator_offset.append(offset)
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""

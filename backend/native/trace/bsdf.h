@@ -13,7 +13,7 @@
 // light at 85 degrees and roughness 1); here white glass stays white, within 0.5 %.
 // A lobe of vanishing roughness is a mirror ("delta"): sampled on its own, and no part of evaluate().
 // Directions point away from the surface; what lies on the wrong side of the geometric normal is black, of light that
-// is aimed at on that of trace/shadow_terminator.h.
+// is aimed at on the wrong side as trace/shadow_terminator.h knows it.
 // Under a normal map, D and H have the map's normal, of which S and G take what keeps their reflections above the
 // surface, and C the smooth one unless told otherwise. A lobe whose normal is not that of S is called tilted.
 //

@@ -7,7 +7,8 @@
 // corner is above it. Which side of the surface a light is on then follows from the smooth normal alone.
 //
 // The patch is found in object space and carried into the world as its points are. Cycles does so with instances;
-// meshes with one user it transforms first, and where that stretches them, its patch is another one.
+// meshes with one user it transforms first, and where that stretches them, its patch is another one. Without an offset,
+// light behind a triangle is none for it, where Cycles lets it through open meshes.
 #pragma once
 
 #include "core/effects.h"
@@ -36,8 +37,8 @@ SVGF_HD float find_light_side(const Surface& surface, Vec3 geometric_normal, Vec
     return dot(normal, geometric_normal) < 0.0f ? -cosine : cosine;
 }
 
-// Share of the height of the patch that a ray to a light starts above the triangle. Cosines with the light of the smooth
-// normal, > 0, and of the geometric one on the same side.
+// Share of the patch's height at which a ray to a light starts. Cosines with the light: of the smooth normal, >= 0, and
+// of the geometric one on the same side.
 SVGF_HD inline float terminator_share(float cos_smooth, float cos_geometric, float terminator_offset) {
     const float near = cos_smooth < terminator_offset
                            ? 2.0f - fast_quotient(cos_geometric + cos_smooth, terminator_offset)
