@@ -124,6 +124,11 @@ struct GbufferStage {
     std::int32_t* out_first_object_id = nullptr;
     Vec3* out_first_motion = nullptr;  // null: nothing moves
 
+    // Where the primary ray of a pixel goes through the image.
+    SVGF_HD Vec2 point_of(int pixel) const {
+        return pixel_point(pixel % camera.width, pixel / camera.width, Sampler(pixel, seed, sample), box_filter);
+    }
+
     SVGF_HD void operator()(int x, int y) const {
         const int i = y * camera.width + x;
         const Sampler sampler(i, seed, sample);

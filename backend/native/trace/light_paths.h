@@ -14,6 +14,8 @@ struct LightPaths {
     float clamp_direct = 0, clamp_indirect = 0;  // 0: none
     float filter_glossy = 0;                     // 0: none
 
+    SVGF_HD bool has_clamps() const { return clamp_direct > 0.0f || clamp_indirect > 0.0f; }
+
     // Light that comes after so many bounces, no brighter than the clamps allow.
     SVGF_HD Vec3 clamped(Vec3 light, int light_bounces) const {
         const float limit = 3.0f * (light_bounces > 1 ? clamp_indirect : clamp_direct);

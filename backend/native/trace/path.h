@@ -52,7 +52,7 @@ struct Path {
     bool measures_distance = false;  // the ray left the seen surface by a specular lobe
 };
 
-// Light that arrives as far as its way is free.
+// A ray whose light is known and arrives as far as its way is free.
 struct ShadowRay {
     Ray ray;
     Vec3 light;  // all zero: there is none
@@ -94,30 +94,13 @@ struct PathVertices {
         return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
-    // The same of a path that ends, where scene.last_hits_are_dark: mostly, only whether it hits anything.
-    SVGF_HD Hit find_last_hit(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
-                              bool measures_distance) const {
-        return find_end(sampler, vertex, ray, transparent_bounces, asks_only_whether(ray, measures_distance));
-    }
-
-    // The same in two steps.
-    SVGF_HD bool asks_only_whether(const Ray& ray, bool measures_distance) const {
-        return !measures_distance && !crosses_finite_lamp(ray);
-    }
-    SVGF_HD Hit find_end(const Sampler& sampler, int vertex, const Ray& ray, int transparent_bounces,
-                         bool only_whether) const {
-        if (only_whether)
-            return find_any_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
-        return find_path_hit_apart<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
-    }
-
-    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. seen:
-    // is shown what the G-buffer holds.
+    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. last:
+    // set instead where that is its last one and looks for what is known. seen: is shown what the G-buffer holds.
     template <class Seen = Unseen>
     SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
-                       ShadowRay& shadow, const Seen& seen = {}) const {
+                       ShadowRay& shadow, ShadowRay& last, const Seen& seen = {}) const {
         Ray& ray = path.ray;
-        const bool is_known = in_chain_light && path.on_chain && path.links > 0;
+        const bool is_known = is_in_chain_light(path);
         path.transparent_bounces += hit.passed;
         if (!is_known && (scene.lights.sized_lamps_seen_by & ray.kind)) add_lamps(path, hit, light);
         if (!hit.found()) {
@@ -170,11 +153,12 @@ struct PathVertices {
         count_bounce(path, next);
         path.normal = bsdf.normal;
         ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, kind_of(next.event)};
-        return true;
+        return !(path.ends && find_last_ray(path, last));
     }
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
     SVGF_HD void add_arriving(const Sampler& sampler, int vertex, const ShadowRay& shadow, Gathered& light) const {
+        if (!shadow.exists()) return;
         const Vec3 share = find_arriving(sampler, vertex, shadow.ray, shadow.surfaces);
         if (max_component(share) > 0.0f) add_share(shadow, share, light);
     }
@@ -194,6 +178,29 @@ private:
     // Surfaces that a path may still pass. One may always be passed.
     SVGF_HD int allowed(int transparent_bounces) const {
         return max(limits.transparent_bounces, 1) - transparent_bounces;
+    }
+
+    SVGF_HD bool is_in_chain_light(const Path& path) const {
+        return in_chain_light && path.on_chain && path.links > 0;
+    }
+
+    // Where surfaces do not shine, and no lamp stands in its way, the last ray of a path finds what is infinitely far,
+    // if it arrives there: it is a shadow ray. Returns false where it is not.
+    SVGF_HD bool find_last_ray(const Path& path, ShadowRay& last) const {
+        if (!scene.last_hits_are_dark || path.measures_distance) return false;
+        if (has_limits && limits.has_clamps()) return false;  // which are of what arrives at once
+        Vec3 found;
+        for (int i = 0; i < sized_lamp_count(path.ray); ++i) {
+            const Light& lamp = scene.lights.rows[i];
+            Vec3 value;
+            if (!find_lamp(path, lamp, infinity, value)) continue;
+            if (lamp.kind != LightKind::sun) return false;
+            found += value;
+        }
+        found += find_world(path);
+        if (is_in_chain_light(path)) found = {};
+        last = {path.ray, found, path.diffuse_share, path.bounces, path.links, allowed(path.transparent_bounces)};
+        return true;
     }
 
     // Whether the last ray of a path finds nothing at a hit.
@@ -296,66 +303,64 @@ private:
     // Light that the ray of a path ran into. light_pdf: with which it would have been sampled; not asked for a mirror
     // direction, which is found in no other way.
     template <class LightPdf>
-    SVGF_HD void add_found(Gathered& light, const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
-        const float weight = path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf());
-        add(light, path.throughput * radiance * weight, path.diffuse_share, path.bounces, path.links);
+    SVGF_HD Vec3 found_light(const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
+        return path.throughput * radiance * (path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf()));
+    }
+    SVGF_HD void add(Gathered& light, const Path& path, Vec3 value) const {
+        add(light, value, path.diffuse_share, path.bounces, path.links);
     }
 
-    // Lamps stop no ray: all that are crossed before the hit shine.
-    SVGF_HD void add_lamps(const Path& path, const Hit& hit, Gathered& light) const {
+    // Of the lamps, which are the first lights, those that rays of a kind may run into.
+    SVGF_HD int sized_lamp_count(const Ray& ray) const {
+        return scene.lights.sized_lamps_seen_by & ray.kind ? scene.lights.lamp_count : 0;
+    }
+    // Whether the ray crosses a lamp before t_hit, and its light.
+    SVGF_HD bool find_lamp(const Path& path, const Light& lamp, float t_hit, Vec3& value) const {
         const Ray& ray = path.ray;
-        for (int i = 0; i < scene.lights.lamp_count; ++i) {
-            const Light& lamp = scene.lights.rows[i];
-            Vec3 radiance;
-            float pdf;
-            if (!(lamp.visibility & path.ray.kind)) continue;
-            if (cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, hit.t, radiance, pdf))
-                add_found(light, path, radiance, [&] {
-                    return pdf * choice_probability<kernel>(scene.lights, lamp, ray.origin, path.normal);
-                });
-        }
-    }
-
-    SVGF_HD bool crosses_finite_lamp(const Ray& ray) const {
-        if (!(scene.lights.sized_lamps_seen_by & ray.kind)) return false;
         Vec3 radiance;
         float pdf;
-        for (int i = 0; i < scene.lights.lamp_count; ++i) {
-            const Light& lamp = scene.lights.rows[i];
-            if ((lamp.visibility & ray.kind) && cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, largest_float,
-                                                           radiance, pdf))
-                return true;
+        if (!(lamp.visibility & ray.kind)) return false;
+        if (!cross_lamp(lamp, ray.origin, ray.direction, ray.t_min, t_hit, radiance, pdf)) return false;
+        value = found_light(path, radiance, [&] {
+            return pdf * choice_probability<kernel>(scene.lights, lamp, ray.origin, path.normal);
+        });
+        return true;
+    }
+    // Lamps stop no ray: all that are crossed before the hit shine.
+    SVGF_HD void add_lamps(const Path& path, const Hit& hit, Gathered& light) const {
+        for (int i = 0; i < sized_lamp_count(path.ray); ++i) {
+            Vec3 value;
+            if (find_lamp(path, scene.lights.rows[i], hit.t, value)) add(light, path, value);
         }
-        return false;
     }
 
-    SVGF_HD void add_world(const Path& path, Gathered& light) const {
-        if (transparent_film && path.bounces == 0) {
-            light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
-            return;
-        }
-        if (!(scene.world.visibility & path.ray.kind)) return;
+    SVGF_HD Vec3 find_world(const Path& path) const {
+        if (!(scene.world.visibility & path.ray.kind)) return {};
         const bool is_backdrop = path.ray.kind == ray_kind::camera;
         if constexpr (covers(kernel, Effects::environment_map)) {
             const std::int32_t row = scene.world.light;
-            add_found(light, path, environment_radiance(scene, path.ray.direction, is_backdrop), [&] {
+            return found_light(path, environment_radiance(scene, path.ray.direction, is_backdrop), [&] {
                 return row < 0 ? 0.0f
                                : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
             });
-        } else {
-            const Vec3 radiance = is_backdrop ? scene.world.backdrop_radiance : scene.world.radiance;
-            add(light, path.throughput * radiance, path.diffuse_share, path.bounces, path.links);
         }
+        return path.throughput * (is_backdrop ? scene.world.backdrop_radiance : scene.world.radiance);
+    }
+    SVGF_HD void add_world(const Path& path, Gathered& light) const {
+        if (transparent_film && path.bounces == 0)
+            light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
+        else
+            add(light, path, find_world(path));
     }
 
     SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, Gathered& light) const {
-        add_found(light, path, surface.emission, [&] {
-            const Light* row = find_light(scene, hit);
-            if (!row) return 0.0f;
-            const float cosine = dot(surface.geometric_normal, path.ray.direction);
-            return triangle_density(*row, hit.t, cosine) *
-                   choice_probability<kernel>(scene.lights, *row, path.ray.origin, path.normal);
-        });
+        add(light, path, found_light(path, surface.emission, [&] {
+                const Light* row = find_light(scene, hit);
+                if (!row) return 0.0f;
+                const float cosine = dot(surface.geometric_normal, path.ray.direction);
+                return triangle_density(*row, hit.t, cosine) *
+                       choice_probability<kernel>(scene.lights, *row, path.ray.origin, path.normal);
+            }));
     }
 
     SVGF_HD void find_direct_light(const VertexSampler& numbers, const Path& path, const Surface& surface,
@@ -386,6 +391,31 @@ private:
         shadow.bounces = path.bounces + 1;
         shadow.links = path.links;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
+    }
+};
+
+// Writes into the G-buffer what the camera sees on a path's way.
+template <Effects kernel>
+struct SeenByCamera {
+    const GbufferStage<kernel>* gbuffer;  // of the path's sample; null: it is there
+    int pixel;
+
+    SVGF_HD void background(const Path& path) const {
+        if (is_wanted(path)) gbuffer->write_background(pixel, path.ray.direction);
+    }
+    SVGF_HD void surface(const Path& path, const Surface& surface, const Hit& hit, const Bsdf<kernel>& bsdf) const {
+        if (is_wanted(path)) write(path, surface, hit, bsdf, true);
+    }
+    // The path ends here.
+    SVGF_HD void surface(const Path& path, const Surface& surface, const Hit& hit) const {
+        if (is_wanted(path)) write(path, surface, hit, {gbuffer->scene, surface, -path.ray.direction}, false);
+    }
+
+private:
+    SVGF_HD bool is_wanted(const Path& path) const { return gbuffer && path.bounces == 0; }
+    SVGF_HD void write(const Path& path, const Surface& surface, const Hit& hit, const Bsdf<kernel>& bsdf,
+                       bool may_reflect) const {
+        gbuffer->write_surface(pixel, gbuffer->point_of(pixel), surface, bsdf, hit, path.throughput, may_reflect);
     }
 };
 
@@ -448,7 +478,7 @@ private:
         Path path;
         Hit hit;
         Gathered light;
-        ShadowRay shadow;
+        ShadowRay shadow, last;
 
         explicit State(int pixel) : pixel(pixel) {}
     };
@@ -470,33 +500,6 @@ private:
         }
     };
 
-    // Writes what the path's ray sees from the camera.
-    struct Seen {
-        const PathStage& stage;
-        int pixel;
-
-        void background(const Path& path) const {
-            if (is_wanted(path)) stage.gbuffer->write_background(pixel, path.ray.direction);
-        }
-        void surface(const Path& path, const Surface& surface, const Hit& hit, const Bsdf<kernel>& bsdf) const {
-            if (is_wanted(path)) write(path, surface, hit, bsdf, true);
-        }
-        // The path ends here.
-        void surface(const Path& path, const Surface& surface, const Hit& hit) const {
-            if (is_wanted(path)) write(path, surface, hit, {stage.vertices.scene, surface, -path.ray.direction}, false);
-        }
-
-    private:
-        bool is_wanted(const Path& path) const { return stage.gbuffer && path.bounces == 0; }
-        void write(const Path& path, const Surface& surface, const Hit& hit, const Bsdf<kernel>& bsdf,
-                   bool may_reflect) const {
-            const int width = stage.camera.width;
-            const Sampler sampler(pixel, stage.seed, stage.sample);
-            stage.gbuffer->write_surface(pixel, pixel_point(pixel % width, pixel / width, sampler, stage.box_filter),
-                                         surface, bsdf, hit, path.throughput, may_reflect);
-        }
-    };
-
     // Empties the batch.
     void trace(Batch& batch) const {
         int active[Batch::most], shadowed[Batch::most];
@@ -508,15 +511,16 @@ private:
             int shadows = 0;
             for (int i = 0; i < tried; ++i) {
                 State& state = batch[active[i]];
-                state.shadow = {};
+                state.shadow = state.last = {};
                 const bool goes_on = vertices.shade(sampler_of(state), vertex, state.hit, state.path, state.light,
-                                                    state.shadow, Seen{*this, state.pixel});
-                if (state.shadow.exists()) shadowed[shadows++] = active[i];
+                                                    state.shadow, state.last, SeenByCamera<kernel>{gbuffer, state.pixel});
+                if (state.shadow.exists() || state.last.exists()) shadowed[shadows++] = active[i];
                 if (goes_on) active[count++] = active[i];
             }
             for (int i = 0; i < shadows; ++i) {
                 State& state = batch[shadowed[i]];
                 vertices.add_arriving(sampler_of(state), vertex, state.shadow, state.light);
+                vertices.add_arriving(sampler_of(state), vertex, state.last, state.light);
             }
         }
         for (int i = 0; i < batch.size; ++i) out.add(batch[i].pixel, batch[i].light);
@@ -529,9 +533,6 @@ private:
         const Path& path = state.path;
         if (vertex == 0 && in_hit)
             state.hit = in_hit[state.pixel];
-        else if (path.ends && vertices.scene.last_hits_are_dark)
-            state.hit = vertices.find_last_hit(sampler_of(state), vertex, path.ray, path.transparent_bounces,
-                                               path.measures_distance);
         else
             state.hit = vertices.find_hit(sampler_of(state), vertex, path.ray, path.transparent_bounces);
     }

@@ -150,13 +150,26 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
         .out_alpha = frame.transparent_film ? floats("alpha", 1) : nullptr,
         .out_hit_distance = has_specular ? floats("hit_distance", 1) : nullptr,
     };
+    // And adds their light.
+    const auto follow_chains_after = [&] {
+        follow_chains();
+        if (has_chains)
+            device_.launch_queue("path", int(pixels), smooth_count.data(),
+                                 ChainLightStage{smooth_pixels.data(), chain_light.data(), radiance.weight,
+                                                 radiance.out_emission});
+    };
     // With a lens each sample has a ray of its own even through the middle of the pixel.
     // So has each where chance decides what it passes.
     const bool same_rays = !box_filter && camera_.aperture.radius == 0.0f && !covers(kernel, Effects::alpha);
     if constexpr (Device::follows_paths_together) {
-        device_.launch("gbuffer", frame.width, frame.height, gbuffer);
-        follow_chains();
-        trace_wavefront(frame, vertices, same_rays, hits.data(), radiance);
+        // Where a path's ray may go on straight from its first vertex, what the camera sees is found before the paths.
+        const bool is_apart = opacity_.has_shaded();
+        if (is_apart) {
+            device_.launch("gbuffer", frame.width, frame.height, gbuffer);
+            follow_chains();
+        }
+        trace_wavefront(frame, vertices, gbuffer, !is_apart, same_rays, radiance);
+        if (!is_apart) follow_chains_after();
     } else {
         PathStage<kernel> path{.vertices = vertices,
                                .camera = camera_,
@@ -168,12 +181,7 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
                                .out = radiance};
         for (int i = 0; i < frame.samples; ++i) {
             device_.launch("path", frame.width, frame.height, path);
-            if (path.gbuffer && has_chains) {
-                follow_chains();
-                device_.launch_queue("path", int(pixels), smooth_count.data(),
-                                     ChainLightStage{smooth_pixels.data(), chain_light.data(), radiance.weight,
-                                                     radiance.out_emission});
-            }
+            if (path.gbuffer) follow_chains_after();
             path.gbuffer = nullptr;
             ++path.sample;
             path.out.first_of_frame = false;
@@ -185,8 +193,8 @@ std::vector<Image> Tracer::trace_with(const Frame& frame) {
 }
 
 template <Effects kernel>
-void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
-                             const Hit* first_hits, RadianceImages out) {
+void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, const GbufferStage<kernel>& gbuffer,
+                             bool writes_gbuffer, bool same_rays, RadianceImages out) {
     const int width = frame.width, height = frame.height, pixels = width * height;
     const bool box_filter = frame.pixel_filter == PixelFilter::box;
     // The last ray of a path only looks for light. A surface that lets it straight through may be a vertex, too.
@@ -194,19 +202,30 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
                              (opacity_.has_shaded() ? frame.light_paths.transparent_bounces + 1 : 0);
     Buffer<PathRecord> paths(device_, std::size_t(pixels), "paths");
     Buffer<ShadowRecord> shadows(device_, std::size_t(pixels), "shadow rays");
+    Buffer<ShadowRecord> lasts(device_, scene_.last_hits_are_dark ? std::size_t(pixels) : 0, "last rays");
     Buffer<GatheredRecord> gathered(device_, std::size_t(pixels), "gathered light");
     Buffer<Hit> hits(device_, std::size_t(pixels), "hits");
-    // The queues of a vertex and the next one, and of shadow rays; their lengths for all vertices.
-    Buffer<std::int32_t> queues(device_, 3 * std::size_t(pixels), "queues");
+    // The queues of a vertex and the next one, of shadow rays and of last rays; their lengths for all vertices.
+    Buffer<std::int32_t> queues(device_, 4 * std::size_t(pixels), "queues");
     Buffer<std::int32_t> counts(device_, 2 * std::size_t(vertex_count) + 2, "queues");
-    const PathMemory memory{paths.data(), shadows.data(), gathered.data(), hits.data()};
+    const PathMemory memory{paths.data(), shadows.data(), lasts.data(), gathered.data(), hits.data()};
     const auto path_queue = [&](int vertex) {
         return PixelQueue{queues.data() + std::size_t(vertex & 1) * std::size_t(pixels), counts.data() + vertex};
     };
     const auto shadow_queue = [&](int vertex) {
         return PixelQueue{queues.data() + 2 * std::size_t(pixels), counts.data() + vertex_count + 1 + vertex};
     };
+    const PixelQueue last_queue{queues.data() + 3 * std::size_t(pixels),
+                                counts.data() + 2 * std::size_t(vertex_count) + 1};
+    const auto queues_after = [&](int vertex) {
+        return VertexQueues{path_queue(vertex + 1), shadow_queue(vertex), last_queue};
+    };
+    const Hit* first_hits = gbuffer.in_hit;
     std::uint32_t sample = frame.sample;
+    const auto trace_shadows = [&](const char* name, int vertex, const ShadowRecord* rays, const PixelQueue& queue) {
+        device_.launch_queue(name, pixels, queue.count,
+                             ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex, rays, queue.pixels});
+    };
     for (int i = 0; i < frame.samples; ++i, ++sample) {
         counts.clear();
         if (i > 0 && !same_rays) {
@@ -217,28 +236,17 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
         }
         device_.launch("path shade", width, height,
                        FirstShadeStage<kernel>{vertices, memory, camera_, sample, frame.seed, box_filter, first_hits,
-                                               path_queue(1), shadow_queue(0)});
-        device_.launch_queue("path shadow", pixels, shadow_queue(0).count,
-                             ShadowStage<kernel>{vertices, memory, sample, frame.seed, 0, shadow_queue(0).pixels});
+                                               gbuffer, writes_gbuffer, queues_after(0)});
+        trace_shadows("path shadow", 0, shadows.data(), shadow_queue(0));
         for (int vertex = 1; vertex < vertex_count; ++vertex) {
-            PixelQueue queue = path_queue(vertex);
-            const ExtendStage<kernel> extend{vertices, memory, sample, frame.seed, vertex, queue.pixels};
-            // Those that leave the first surface mostly measure a distance, if it has specular lobes.
-            const bool measures_distance = vertex == 1 && covers(kernel, Effects::specular);
-            PixelQueue next_queue = path_queue(vertex + 1);
-            if (vertex + 1 == vertex_count && scene_.last_hits_are_dark && !measures_distance) {
-                device_.launch_queue("path extend", pixels, queue.count, LastExtendStage<kernel>{extend, next_queue});
-                queue = std::exchange(next_queue, {queue.pixels, counts.data() + 2 * std::size_t(vertex_count) + 1});
-            } else {
-                device_.launch_queue("path extend", pixels, queue.count, extend);
-            }
+            const PixelQueue queue = path_queue(vertex);
+            device_.launch_queue("path extend", pixels, queue.count,
+                                 ExtendStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels});
             device_.launch_queue("path shade", pixels, queue.count,
                                  ShadeStage<kernel>{vertices, memory, sample, frame.seed, vertex, queue.pixels,
-                                                    next_queue, shadow_queue(vertex)});
+                                                    queues_after(vertex)});
             if (vertex + 1 < vertex_count)
-                device_.launch_queue("path shadow", pixels, shadow_queue(vertex).count,
-                                     ShadowStage<kernel>{vertices, memory, sample, frame.seed, vertex,
-                                                         shadow_queue(vertex).pixels});
+                trace_shadows("path shadow", vertex, shadows.data(), shadow_queue(vertex));
             // Many vertices are rarely used up, and a launch for nothing costs time, too.
             if (vertex % 16 == 0) {
                 std::int32_t left;
@@ -246,9 +254,11 @@ void Tracer::trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, 
                 if (left == 0) break;
             }
         }
+        if (scene_.last_hits_are_dark) trace_shadows("path last", 0, lasts.data(), last_queue);
         device_.launch("path gather", pixels, GatherStage{gathered.data(), out});
         out.first_of_frame = false;
         vertices.in_chain_light = nullptr;  // of the first sample
+        writes_gbuffer = false;
     }
 }
 

@@ -24,6 +24,8 @@ namespace svgf {
 
 struct Hit;
 template <Effects kernel>
+struct GbufferStage;
+template <Effects kernel>
 struct PathVertices;
 struct RadianceImages;
 
@@ -141,8 +143,8 @@ private:
     template <Effects kernel>
     std::vector<Image> trace_with(const Frame& frame);
     template <Effects kernel>
-    void trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, bool same_rays,
-                         const Hit* first_hits, RadianceImages out);
+    void trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, const GbufferStage<kernel>& gbuffer,
+                         bool writes_gbuffer, bool same_rays, RadianceImages out);
 
     void find_opacity();
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stage "path" on the GPU: all paths go from vertex to vertex together, in three launches each [Laine13].
 //
-//   extend  closest hits of the rays that the paths follow; of their last ones, mostly, whether there are any
+//   extend  closest hits of the rays that the paths follow
 //   shade   light found at the vertices, the paths' next rays and their shadow rays
-//   shadow  whether the shadow rays arrive
+//   shadow  whether the shadow rays arrive; at the end, whether the paths' last rays do
 //
 // What a path carries lies in memory, one record per pixel; queues name the pixels whose paths go on, so that warps
 // stay full, and each kernel is small enough for the instruction cache. Every pixel's light is summed in the order in
@@ -80,14 +80,22 @@ struct alignas(16) ShadowRecord {
     Vec3 origin;
     float t_max;
     Vec3 direction;
-    std::int32_t bounces;
+    std::int32_t bounces_and_kind;  // the kind above bit 16
     Vec3 light;
     std::int32_t surfaces;
     Vec3 diffuse_share;
     std::int32_t links;
 
-    SVGF_HD Ray ray() const { return {origin, direction, 0.0f, t_max, ray_kind::shadow}; }
-    SVGF_HD ShadowRay shadow() const { return {ray(), light, diffuse_share, bounces, links, surfaces}; }
+    ShadowRecord() = default;
+    SVGF_HD explicit ShadowRecord(const ShadowRay& shadow)
+        : origin(shadow.ray.origin), t_max(shadow.ray.t_max), direction(shadow.ray.direction),
+          bounces_and_kind(shadow.bounces | std::int32_t(shadow.ray.kind) << 16), light(shadow.light),
+          surfaces(shadow.surfaces), diffuse_share(shadow.diffuse_share), links(shadow.links) {}
+
+    SVGF_HD Ray ray() const { return {origin, direction, 0.0f, t_max, std::uint32_t(bounces_and_kind) >> 16}; }
+    SVGF_HD ShadowRay shadow() const {
+        return {ray(), light, diffuse_share, bounces_and_kind & 0xffff, links, surfaces};
+    }
 };
 struct alignas(16) GatheredRecord {
     Vec3 emission;
@@ -117,7 +125,8 @@ struct PixelQueue {
 
 struct PathMemory {
     PathRecord* paths;
-    ShadowRecord* shadows;
+    ShadowRecord* shadows;  // of the vertex
+    ShadowRecord* lasts;    // the paths' last rays, where they are shadow rays
     GatheredRecord* gathered;
     Hit* hits;
 };
@@ -141,40 +150,25 @@ struct ExtendStage {
     }
 };
 
-// The last rays of paths, where scene.last_hits_are_dark.
-template <Effects kernel>
-struct LastExtendStage : ExtendStage<kernel> {
-    using ExtendStage<kernel>::launch_shape;
-
-    PixelQueue out_paths;  // those of which more is to be known than that they hit something
-
-    SVGF_HD void operator()(int i) const {
-        const int pixel = this->in_pixels[i];
-        const PathRecord& path = this->memory.paths[pixel];
-        const Sampler sampler(pixel, this->seed, this->sample);
-        const Ray ray = path.ray();
-        const bool only_whether = this->vertices.asks_only_whether(ray, path.measures_distance());
-        const Hit hit = this->vertices.find_end(sampler, this->vertex, ray, path.transparent_bounces(), only_whether);
-        const bool goes_on = !(only_whether && hit.found());
-        if (goes_on) store(this->memory.hits + pixel, hit);
-        out_paths.push_if(goes_on, pixel);
-    }
+// Of those that a vertex adds to.
+struct VertexQueues {
+    PixelQueue paths, shadows, lasts;
 };
 
-// Shades a vertex and puts its path and its shadow ray into the queues.
-template <Effects kernel>
+// Shades a vertex and puts its path and its shadow rays into the queues.
+template <Effects kernel, class Seen = Unseen>
 SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler, int vertex,
-                   int pixel, const Hit& hit, Path& path, Gathered& light, const PixelQueue& out_paths,
-                   const PixelQueue& out_shadows) {
-    ShadowRay shadow;
-    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow);
+                   int pixel, const Hit& hit, Path& path, Gathered& light, const VertexQueues& out,
+                   const Seen& seen = {}) {
+    ShadowRay shadow, last;
+    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow, last, seen);
     store(memory.gathered + pixel, GatheredRecord(light));
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
-    if (shadow.exists())
-        store(memory.shadows + pixel, {shadow.ray.origin, shadow.ray.t_max, shadow.ray.direction, shadow.bounces,
-                                       shadow.light, shadow.surfaces, shadow.diffuse_share, shadow.links});
-    out_paths.push_if(goes_on, pixel);
-    out_shadows.push_if(shadow.exists(), pixel);
+    if (shadow.exists()) store(memory.shadows + pixel, ShadowRecord(shadow));
+    if (last.exists()) store(memory.lasts + pixel, ShadowRecord(last));
+    out.paths.push_if(goes_on, pixel);
+    out.shadows.push_if(shadow.exists(), pixel);
+    out.lasts.push_if(last.exists(), pixel);
 }
 
 template <Effects kernel>
@@ -186,18 +180,19 @@ struct ShadeStage {
     std::uint32_t sample, seed;
     int vertex;  // not 0
     const std::int32_t* in_pixels;
-    PixelQueue out_paths, out_shadows;
+    VertexQueues out;
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
         const Sampler sampler(pixel, seed, sample);
         Path path = load(memory.paths + pixel).path();
         Gathered light = load(memory.gathered + pixel).gathered();
-        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, light, out_paths, out_shadows);
+        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, light, out);
     }
 };
 
-// Vertex 0 of all pixels.
+// Vertex 0 of all pixels, and of a frame's first sample the G-buffer on the way: on its own that takes 0.4 ms more of
+// Sponza's 9.6 (H200).
 template <Effects kernel>
 struct FirstShadeStage {
     static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
@@ -208,32 +203,37 @@ struct FirstShadeStage {
     std::uint32_t sample, seed;
     bool box_filter;
     const Hit* in_hit;
-    PixelQueue out_paths, out_shadows;
+    GbufferStage<kernel> gbuffer;
+    bool writes_gbuffer;  // else it is there
+    VertexQueues out;
 
     SVGF_HD void operator()(int x, int y) const {
         const int pixel = y * camera.width + x;
         const Sampler sampler(pixel, seed, sample);
         Path path;
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
-        Gathered light = vertices.start(pixel);
-        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out_paths, out_shadows);
+        Gathered light;
+        if (!writes_gbuffer) light = vertices.start(pixel);
+        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out,
+              SeenByCamera<kernel>{writes_gbuffer ? &gbuffer : nullptr, pixel});
     }
 };
 
 template <Effects kernel>
 struct ShadowStage {
-    static constexpr LaunchShape launch_shape{32, 4, path_trace_blocks<kernel>};
+    static constexpr LaunchShape launch_shape{32, 4, shadow_trace_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
     std::uint32_t sample, seed;
-    int vertex;  // from which the rays start
+    int vertex;  // from which the rays start; of last rays any
+    const ShadowRecord* in_rays;
     const std::int32_t* in_pixels;
 
     SVGF_HD void operator()(int i) const {
         const int pixel = in_pixels[i];
         const Sampler sampler(pixel, seed, sample);
-        const ShadowRecord* const record = memory.shadows + pixel;
+        const ShadowRecord* const record = in_rays + pixel;
         const Vec3 share = vertices.find_arriving(sampler, vertex, record->ray(), record->surfaces);
         if (!(max_component(share) > 0.0f)) return;
         // Read only now, so that tracing has the registers.

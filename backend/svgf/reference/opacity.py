@@ -14,7 +14,7 @@ from ..flatten import MATERIAL_COLUMNS
 from ..scene import MaterialKind, RayVisibility
 from .intersect import Hits, no_hits
 from .sampling import random_at_triangle, shadow_pair, surface_pair
-from .surface import SceneView, find_opacity, material_rows_at, transmittance_at
+from .surface import MIXES, SceneView, column, find_opacity, material_rows_at, transmittance_at
 
 
 def surface_choice(scene: SceneView, keys: np.ndarray, sample_number: int, vertex: int, hits: Hits) -> np.ndarray:
@@ -62,11 +62,12 @@ def shadow_transmittance(
     direction: np.ndarray,
     t_max: np.ndarray,
     allowed: np.ndarray,
+    kind: np.ndarray | int = int(RayVisibility.SHADOW),
 ) -> np.ndarray:
     """What is left, [n, 3], of light that goes straight on to the end of shadow rays from a vertex, through at most so
     many surfaces [n]."""
     shapes = scene.shapes
-    kind = np.full(len(origin), int(RayVisibility.SHADOW))
+    kind = np.broadcast_to(kind, len(origin))
     ray, crossed = _once_each(*shapes.crossings(origin, direction, np.zeros(len(origin)), t_max, kind))
     left = np.ones((len(origin), 3))
     if len(ray):
@@ -77,6 +78,28 @@ def shadow_transmittance(
     return left
 
 
+def surfaces_are_dark(scene: SceneView) -> bool:
+    """Whether no surface shines, and each that lets light pass straight only takes a share, whatever its colour."""
+    materials = scene.materials
+    light = np.concatenate([column(materials, "emission"), column(materials, "light_emission")])
+    kind = materials[:, MATERIAL_COLUMNS["kind"]].astype(np.int64)
+    has_alpha_map = np.zeros(len(materials), dtype=bool)
+    for row, (first, count) in enumerate(materials[:, [MATERIAL_COLUMNS["map_start"], MATERIAL_COLUMNS["map_count"]]]):
+        maps = scene.material_maps[int(first) : int(first + count), 0]
+        has_alpha_map[row] = (maps == MATERIAL_COLUMNS["alpha"]).any()
+    is_opaque = (find_opacity(materials)[0] >= 1.0) & ~has_alpha_map
+    parts = materials[:, [MATERIAL_COLUMNS["first"], MATERIAL_COLUMNS["second"]]].astype(np.int64)
+    is_mix = np.isin(kind, MIXES)
+    for _ in materials:  # parts may be mixes
+        is_opaque = np.where(is_mix, is_opaque[parts].all(axis=1), is_opaque)
+    tints = (kind == MaterialKind.TRANSPARENT) & ~_is_clear(materials)
+    return not (light.any() or tints.any() or (is_mix & ~is_opaque).any())
+
+
+def _is_clear(rows: np.ndarray) -> np.ndarray:
+    return (column(rows, "base_color") >= 1.0).all(axis=1) & (rows[:, MATERIAL_COLUMNS["map_count"]] == 0)
+
+
 def _passes(scene: SceneView, keys: np.ndarray, sample_number: int, vertex: int, hits: Hits) -> np.ndarray:
     """bool [n]: whether path rays pass these hits on their way."""
     if not len(hits.t):
@@ -85,9 +108,8 @@ def _passes(scene: SceneView, keys: np.ndarray, sample_number: int, vertex: int,
     kind = rows[:, MATERIAL_COLUMNS["kind"]]
     first = MATERIAL_COLUMNS["emission"]
     is_dark = (scene.materials[material][:, first : first + 3] == 0.0).all(axis=1)
-    first = MATERIAL_COLUMNS["base_color"]
-    is_clear = (rows[:, first : first + 3] >= 1.0).all(axis=1) & (rows[:, MATERIAL_COLUMNS["map_count"]] == 0)
-    only_takes_a_share = ((kind == MaterialKind.PRINCIPLED) & is_dark) | ((kind == MaterialKind.TRANSPARENT) & is_clear)
+    is_clear = (kind == MaterialKind.TRANSPARENT) & _is_clear(rows)
+    only_takes_a_share = ((kind == MaterialKind.PRINCIPLED) & is_dark) | is_clear
     opacity, _ = find_opacity(rows)
     return only_takes_a_share & (surface_choice(scene, keys, sample_number, vertex, hits) >= opacity)
 

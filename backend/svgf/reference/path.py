@@ -18,8 +18,8 @@ from .bsdf import NONE, Bsdf
 from .bsdf_evaluate import evaluate
 from .bsdf_sample import BsdfSample, find_smooth_bounce, sample
 from .gbuffer import BACKGROUND_DEPTH, may_follow
-from .intersect import SHADOW_END, Hits, offset_origin
-from .opacity import find_path_hits, shadow_transmittance, surface_choice
+from .intersect import SHADOW_END, Hits, no_hits, offset_origin
+from .opacity import find_path_hits, shadow_transmittance, surface_choice, surfaces_are_dark
 from .sampling import (
     direction_pair,
     light_choice_pair,
@@ -197,7 +197,7 @@ def trace_paths(
         if len(paths.pixel):
             paths = _scatter(
                 scene, signals, keys, sample_number, bounces, limits, paths, surface, lobe_and_roulette, vertex,
-                follows_chains,
+                follows_chains, chain_light is not None,
             )  # fmt: skip
         paths = Paths(**{
             field.name: np.concatenate([getattr(paths, field.name), getattr(straight, field.name)])
@@ -218,6 +218,7 @@ def _scatter(
     lobe_and_roulette: np.ndarray,
     vertex: int,
     follows_chains: bool,
+    has_chain_light: bool,
 ) -> Paths:
     """Light that is sampled at surfaces, and the paths that leave them."""
     position, magnitude = surface.position, surface.magnitude
@@ -245,7 +246,44 @@ def _scatter(
     paths.bounces = paths.bounces + (kind[:, None] == np.array(_KINDS))
     of_a_kind = (limits.diffuse_bounces, limits.glossy_bounces, limits.transmission_bounces)
     paths.ends = (paths.bounces > np.array(of_a_kind)).any(axis=1) | (paths.bounces.sum(axis=1) > bounces)
-    return paths.rows(paths.throughput.max(axis=1) > 0.0)
+    paths = paths.rows(paths.throughput.max(axis=1) > 0.0)
+    is_last = _finds_only_what_is_far(scene, paths, limits)
+    _add_last_light(scene, signals, keys, sample_number, limits, paths.rows(is_last), vertex, has_chain_light)
+    return paths.rows(~is_last)
+
+
+def _finds_only_what_is_far(scene: SceneView, paths: Paths, limits: LightPaths) -> np.ndarray:
+    """bool [n]: whether a path's last ray looks for suns and the world alone."""
+    far = paths.ends & ~paths.measures_distance & surfaces_are_dark(scene)
+    if limits.clamp_direct > 0.0 or limits.clamp_indirect > 0.0:
+        far[:] = False
+    nothing = np.full(len(far), np.finfo(np.float32).max)
+    for light, rows, _, _ in scene.lights.crossed_lamps(paths.origin, paths.direction, nothing, paths.t_min):
+        far[rows[paths.kind[rows] & scene.lights.visibility[light] != 0]] = False
+    return far
+
+
+def _add_last_light(
+    scene: SceneView,
+    signals: Signals,
+    keys: np.ndarray,
+    sample_number: int,
+    limits: LightPaths,
+    paths: Paths,
+    vertex: int,
+    has_chain_light: bool,
+) -> None:
+    """Of last rays that look for what is infinitely far: it arrives as the light of shadow rays does."""
+    paths = paths.rows(~(paths.on_chain & (paths.links > 0) & has_chain_light))
+    if not len(paths.pixel):
+        return
+    left = shadow_transmittance(
+        scene, keys[paths.pixel], sample_number, vertex, paths.origin, paths.direction, paths.t_max,
+        max(limits.transparent_bounces, 1) - paths.transparent_bounces, paths.kind,
+    )  # fmt: skip
+    paths.throughput = paths.throughput * left
+    _add_lamps(scene, signals, paths, no_hits(len(paths.pixel)))
+    _add_world(scene, signals, paths)
 
 
 def _leave_or_follow_chains(
