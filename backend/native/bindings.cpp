@@ -24,6 +24,7 @@
 #include "device/bandwidth.h"
 #include "device/device.h"
 #include "device/display.h"
+#include "scene/bvh.h"
 #include "trace/tracer.h"
 
 namespace nb = nanobind;
@@ -78,6 +79,17 @@ bool refit_mesh(Mesh& mesh, Device& device, HostArray<float> positions, HostArra
                               .tangents = span_of(tangents)};
     nb::gil_scoped_release release;
     return mesh.refit(device, arrays);
+}
+
+// boxes: [N, 6], low and high corners. Returns the nodes, [M, 20] words as scene/wide_node.h lays them out, and the
+// indices of the boxes in leaf order.
+nb::tuple build_tree(HostArray<float> boxes, bool high_quality) {
+    const std::span bounds(reinterpret_cast<const Bounds*>(boxes.data()), boxes.size() / 6);
+    Bvh bvh = build_bvh(bounds, max_leaf_size, high_quality ? TreeQuality::high : TreeQuality::quick);
+    const size_t shape[2] = {bvh.nodes.size(), sizeof(WideNode) / sizeof(uint32_t)}, count = bvh.primitives.size();
+    const auto* words = reinterpret_cast<const uint32_t*>(bvh.nodes.data());
+    return nb::make_tuple(numpy_image(std::vector(words, words + shape[0] * shape[1]), 2, shape),
+                          numpy_image(std::move(bvh.primitives), 1, &count));
 }
 
 std::shared_ptr<Texture> make_texture(Device& device, nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> pixels,
@@ -387,6 +399,8 @@ void bind_tracer(nb::module_& module) {
         return kernels;
     }, "Bits of the effects that each compiled kernel simulates, from the cheapest on: the first that covers a frame "
        "runs.");
+
+    module.def("build_tree", &build_tree, "boxes"_a, "high_quality"_a);
 
     nb::class_<Mesh>(module, "Mesh")
         .def(nb::new_(&make_mesh), "device"_a, "positions"_a, "triangles"_a, "normals"_a,

@@ -119,10 +119,10 @@ class Builder {
 public:
     Builder(std::span<Primitive> primitives, BinaryNode* nodes) : primitives_(primitives), nodes_(nodes) {}
 
-    void build(int height) {
+    void build() {
         const std::uint32_t count = std::uint32_t(primitives_.size());
         if (count > shared_above) sorted_ = HostBuffer<Primitive>(count);
-        std::vector<Task> pending{{0, 0, count, height}}, subtrees;
+        std::vector<Task> pending{{0, 0, 0, count, max_binary_height}}, subtrees;
         std::vector<std::uint32_t> shared;  // parents before children
         while (!pending.empty()) {
             const Task task = pending.back();
@@ -148,12 +148,12 @@ private:
     // A node and its primitives. A subtree of n primitives owns the 2n - 1 nodes that start with its root, so that
     // threads never meet.
     struct Task {
-        std::uint32_t node, first, count;
+        std::uint32_t node, parent, first, count;
         int height;
 
-        Task left(std::uint32_t left_count) const { return {node + 1, first, left_count, height - 1}; }
+        Task left(std::uint32_t left_count) const { return {node + 1, node, first, left_count, height - 1}; }
         Task right(std::uint32_t left_count) const {
-            return {node + 2 * left_count, first + left_count, count - left_count, height - 1};
+            return {node + 2 * left_count, node, first + left_count, count - left_count, height - 1};
         }
         // Whether both sides of a split fit into the levels that are left.
         bool has_room(std::uint32_t left_count) const {
@@ -163,14 +163,14 @@ private:
 
     std::span<Primitive> of(const Task& task) const { return primitives_.subspan(task.first, task.count); }
 
-    void set_height(std::uint32_t node) {
-        nodes_[node].height = 1 + std::max(nodes_[node + 1].height, nodes_[nodes_[node].right].height);
+    void set_height(std::uint32_t index) {
+        BinaryNode& node = nodes_[index];
+        node.height = 1 + std::max(nodes_[node.left].height, nodes_[node.right].height);
     }
 
     void build_subtree(const Task& task) {
-        BinaryNode& node = nodes_[task.node];
         if (task.count == 1) {
-            node = {primitives_[task.first].box(), {task.first}, 0};
+            nodes_[task.node] = {primitives_[task.first].box(), {task.first}, 0, task.parent, 0};
             return;
         }
         Extent extent;
@@ -178,9 +178,9 @@ private:
         Bins bins(extent.centres, task.count < few_bins_below ? few_bins : most_bins);
         bins.add(of(task));
         const std::uint32_t left_count = partition(task, extent, bins, bins.best(task.count));
-        const Task right = task.right(left_count);
-        node = {extent.box, {right.node}, 1};
-        build_subtree(task.left(left_count));
+        const Task left = task.left(left_count), right = task.right(left_count);
+        nodes_[task.node] = {extent.box, {left.node}, right.node, task.parent, 1};
+        build_subtree(left);
         build_subtree(right);
         set_height(task.node);
     }
@@ -239,7 +239,7 @@ private:
         const Bins::Split split = bins.best(task.count);
         std::uint32_t left_count = split.axis >= 0 ? partition_by_all(task, bins, split) : 0;
         if (left_count == 0 || !task.has_room(left_count)) left_count = halve(task, extent);
-        nodes_[task.node] = {extent.box, {task.right(left_count).node}, 1};
+        nodes_[task.node] = {extent.box, {task.left(left_count).node}, task.right(left_count).node, task.parent, 1};
         return left_count;
     }
 
@@ -269,9 +269,9 @@ private:
 
 }  // namespace
 
-HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int height) {
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives) {
     HostBuffer<BinaryNode> nodes(2 * primitives.size() - 1);
-    Builder(primitives, nodes.data()).build(height);
+    Builder(primitives, nodes.data()).build();
     return nodes;
 }
 

@@ -8,6 +8,7 @@
 
 #include "core/host_buffer.h"
 #include "scene/bounds.h"
+#include "scene/wide_node.h"
 
 namespace svgf {
 
@@ -25,17 +26,21 @@ struct alignas(16) Primitive {
 struct BinaryNode {
     Bounds box;
     union {
-        std::uint32_t right;      // inner: the right child; the left one is the next node
+        std::uint32_t left;       // inner: the children
         std::uint32_t primitive;  // leaf
     };
+    std::uint32_t right;
+    std::uint32_t parent;  // of the root: itself
     std::uint32_t height;  // levels below this node; 0: a leaf
 
     bool is_leaf() const { return height == 0; }
 };
-static_assert(sizeof(BinaryNode) == 32);
+static_assert(sizeof(BinaryNode) == 40);
 
-// The root is node 0; nodes that no one names are not initialised. Sorts the primitives, at least one, into leaf order.
-// height: most levels below the root, of which 2^height must be at least the number of primitives.
-HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives, int height);
+// Levels below the root at most: a wide node opens three of them.
+constexpr int max_binary_height = 3 * max_tree_levels;
+
+// The root is node 0. Sorts the primitives, 1 to 2^max_binary_height, into leaf order.
+HostBuffer<BinaryNode> build_binary_bvh(std::span<Primitive> primitives);
 
 }  // namespace svgf

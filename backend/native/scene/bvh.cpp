@@ -16,6 +16,7 @@
 #include "core/host_buffer.h"
 #include "device/threads.h"
 #include "scene/binary_bvh.h"
+#include "scene/reinsertion.h"
 
 namespace svgf {
 namespace {
@@ -76,7 +77,7 @@ public:
     // How many of them, of 2 to 8, come from the left child of an inner node.
     int left_children(std::uint32_t index, int children) const {
         const auto sum = [&](int left) {
-            return cost(index + 1, left) + cost(nodes_[index].right, children - left);
+            return cost(nodes_[index].left, left) + cost(nodes_[index].right, children - left);
         };
         int best = 1;
         for (int left = 2; left < children; ++left)
@@ -94,7 +95,7 @@ private:
 
     void push_children(std::uint32_t index, std::vector<std::uint32_t>& order) const {
         if (nodes_[index].is_leaf()) return;
-        order.push_back(index + 1);
+        order.push_back(nodes_[index].left);
         order.push_back(nodes_[index].right);
     }
 
@@ -117,9 +118,9 @@ private:
         }
         const auto split_cost = [&](int children) {
             const int left = left_children(index, children);
-            return cost(index + 1, left) + cost(node.right, children - left);
+            return cost(nodes_[index].left, left) + cost(node.right, children - left);
         };
-        costs.count = std::min(count(index + 1) + count(node.right), leaf_size_ + 1);
+        costs.count = std::min(count(node.left) + count(node.right), leaf_size_ + 1);
         const float as_leaf = area * primitive_cost * float(costs.count);
         const float as_node = area + split_cost(wide_node_children);
         costs.is_leaf = costs.count <= leaf_size_ && as_leaf <= as_node;
@@ -162,10 +163,9 @@ public:
             child_boxes[s] = child.box;
             std::uint32_t slot = WideNode::inner_slot(s);
             if (costs_.is_leaf(index)) {
-                const std::uint32_t first = first_primitive(index), count = costs_.count(index);
-                slot = WideNode::leaf_slot(primitive_count, count);
-                primitive_count += count;
-                for (std::uint32_t i = first; i < first + count; ++i) part.primitives.push_back(primitives_[i].index);
+                slot = WideNode::leaf_slot(primitive_count, costs_.count(index));
+                primitive_count += costs_.count(index);
+                push_primitives(index, part.primitives);
             } else {
                 wide.exponents_and_inner |= 1u << (24 + s);
                 pend(Task{wide.first_child + inner_count++, index, task.level + 1});
@@ -201,7 +201,7 @@ private:
             else
                 open_best(child, most, children, count);
         };
-        put(index + 1, left);
+        put(nodes_[index].left, left);
         put(nodes_[index].right, most - left);
     }
 
@@ -214,7 +214,7 @@ private:
             });
             if (height(*highest) == 0) break;
             const std::uint32_t opened = *highest;
-            *highest = opened + 1;
+            *highest = nodes_[opened].left;
             children[count++] = nodes_[opened].right;
         }
         return count;
@@ -222,10 +222,11 @@ private:
 
     int height(std::uint32_t index) const { return costs_.is_leaf(index) ? 0 : nodes_[index].height; }
 
-    // Of those below a node, which lie next to each other.
-    std::uint32_t first_primitive(std::uint32_t index) const {
-        while (!nodes_[index].is_leaf()) ++index;
-        return nodes_[index].primitive;
+    void push_primitives(std::uint32_t index, std::vector<std::uint32_t>& primitives) const {
+        const BinaryNode& node = nodes_[index];
+        if (node.is_leaf()) return primitives.push_back(primitives_[node.primitive].index);
+        push_primitives(node.left, primitives);
+        push_primitives(node.right, primitives);
     }
 
     // Greedy: the child that lies furthest towards a free corner gets it. -1: free slot.
@@ -317,7 +318,7 @@ Bvh collapse(const HostBuffer<BinaryNode>& nodes, std::span<const Primitive> pri
 
 }  // namespace
 
-Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size) {
+Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size, TreeQuality quality) {
     assert(leaf_size >= 1 && leaf_size <= max_leaf_size);
     // Sorted out by chunks, so that the order does not depend on the threads.
     constexpr std::size_t chunk = 8192;
@@ -345,7 +346,9 @@ Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size) {
     for_boxes([&](std::size_t c, std::size_t i) {
         primitives[start[c]++] = {boxes[i].low, std::uint32_t(i), boxes[i].high, 0};
     });
-    Bvh bvh = collapse(build_binary_bvh(primitives, 3 * max_tree_levels), primitives, leaf_size);
+    HostBuffer<BinaryNode> nodes = build_binary_bvh(primitives);
+    if (quality == TreeQuality::high) reinsert_nodes(nodes);
+    Bvh bvh = collapse(nodes, primitives, leaf_size);
     bvh.bounds = bounds;
     return bvh;
 }

@@ -18,8 +18,11 @@ struct Bvh {
     int levels = 1;  // of nodes, at most max_tree_levels
 };
 
+// high: the tree is improved after it is built, as scene/reinsertion.h does. quick: for what is built in every frame.
+enum class TreeQuality { quick, high };
+
 // Empty boxes are left out of the tree, the others must be finite. leaf_size: primitives per leaf, 1..max_leaf_size.
 // The tree is a function of the boxes, not of the number of threads.
-Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size);
+Bvh build_bvh(std::span<const Bounds> boxes, int leaf_size, TreeQuality quality);
 
 }  // namespace svgf

@@ -109,7 +109,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
     parallel_for(triangle_count, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) boxes[i] = {boxes[i].low - centre_, boxes[i].high - centre_};
     });
-    const Bvh bvh = build_bvh(boxes, max_leaf_size);
+    const Bvh bvh = build_bvh(boxes, max_leaf_size, TreeQuality::high);
 
     const std::size_t count = bvh.primitives.size();
     HostBuffer<LeafTriangle> triangles(count);
@@ -178,7 +178,7 @@ Mesh::Mesh(Device& device, const Arrays& arrays) {
 
 Mesh::Mesh(Device& device, std::span<const LeafTriangle> triangles, std::span<const std::uint8_t> may_be_cut) {
     const TriangleParts parts = cut_triangles(triangles, may_be_cut);
-    const Bvh bvh = build_bvh(parts.boxes, max_leaf_size);
+    const Bvh bvh = build_bvh(parts.boxes, max_leaf_size, TreeQuality::high);
     HostBuffer<LeafTriangle> in_order(bvh.primitives.size());
     parallel_for(in_order.size(), [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) in_order[i] = triangles[parts.triangles[bvh.primitives[i]]];

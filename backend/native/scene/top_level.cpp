@@ -132,7 +132,7 @@ TopLevel build_top_level(std::span<const std::shared_ptr<Mesh>> meshes, std::spa
 
     std::vector<Bounds> boxes(parts.size());
     std::transform(parts.begin(), parts.end(), boxes.begin(), [](const Part& part) { return part.box; });
-    Bvh bvh = build_bvh(boxes, 1);
+    Bvh bvh = build_bvh(boxes, 1, TreeQuality::quick);
     TopLevel result{std::move(bvh.nodes), {}};
     for (const std::uint32_t part : bvh.primitives) result.leaves.push_back(parts[part].leaf);
     return result;

@@ -11,9 +11,11 @@
 namespace svgf {
 namespace {
 
-// Cuts of all triangles together, for each triangle, and of one at most.
+// Cuts of all triangles together, for each triangle, and of one at most. With up to 255 of one, rays that bounced visit
+// 19.0 instead of 18.3 nodes of Sponza, and 6.6 instead of 6.1 of a box with a teapot in it; with up to 15, 19.1 and
+// 5.6.
 constexpr double cuts_per_triangle = 0.25;
-constexpr double most_cuts = 255;
+constexpr double most_cuts = 31;
 // What a triangle's box must have in excess for each cut, in mean areas of all boxes. Where all triangles are much
 // alike, as in a fine mesh, cutting them takes rays longer: without this bound an H200 traces 4.05 instead of 4.43
 // billion primary rays per second in a room of 19,440 triangles.
