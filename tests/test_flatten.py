@@ -269,8 +269,9 @@ def test_intensities_are_in_one_unit():
     np.testing.assert_allclose(flat.light_data[0, [21, 22]], [0.02, 1.0])
     leaves = flat.light_tree[len(flat.light_of_leaf) - 1 :, 11][flat.light_of_leaf >= 0]
     of_light = dict(zip(flat.light_of_leaf[flat.light_of_leaf >= 0], np.abs(leaves), strict=True))
-    expected = np.array([6.0 / (4.0 * np.pi), 2.0 / np.pi, 2.0 * 2.0, 2.0 * 2.0]) / SUN
-    np.testing.assert_allclose([of_light[light] for light in range(1, 5)], expected, rtol=1e-6)
+    expected = np.array([6.0 / (4.0 * np.pi), 2.0 / np.pi, 2.0 * 4.0]) / SUN  # two triangles are one leaf
+    np.testing.assert_allclose([of_light[light] for light in (1, 2, 3)], expected, rtol=1e-6)
+    np.testing.assert_allclose(flat.light_data[1:, 22], [1.0, 1.0, 0.5, 0.5])
     # Suns come first.
     assert flat.light_kind.tolist() == [LightKind.SUN, LightKind.POINT, LightKind.RECTANGLE, TRIANGLE, TRIANGLE]
 

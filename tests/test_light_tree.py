@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects
-from svgf.flat_lights import AMBIENT, ENVIRONMENT, IRRADIANCE, TRIANGLE
+from svgf.flat_lights import AMBIENT, ENVIRONMENT, TRIANGLE, WEIGHT
 from svgf.flatten import flatten
 from svgf.light_tree import LightBounds, build_light_tree
 from svgf.reference.light_tree import light_importance
@@ -78,8 +78,9 @@ def lights_beside_the_sky(count: int) -> Lights:
     """A sun, the sky, and lights that are somewhere."""
     nodes, leaves = build_light_tree(random_bounds(count))
     data = np.zeros((2 + count, 24))
-    data[0, 9:12], data[0, AMBIENT], data[0, IRRADIANCE] = (0.0, 0.6, 0.8), 0.02, 0.3
-    data[1, 9:12], data[1, AMBIENT], data[1, IRRADIANCE] = (0.3, 0.0, 0.2), 0.16, 0.7
+    data[0, 9:12], data[0, AMBIENT], data[0, WEIGHT] = (0.0, 0.6, 0.8), 0.02, 0.3
+    data[1, 9:12], data[1, AMBIENT], data[1, WEIGHT] = (0.3, 0.0, 0.2), 0.16, 0.7
+    data[2:, WEIGHT] = 1.0
     kinds = [LightKind.SUN, ENVIRONMENT, *[LightKind.POINT] * count]
     return Lights(kinds, data, light_tree=nodes, light_of_leaf=np.where(leaves >= 0, leaves + 2, -1))
 
@@ -110,8 +111,48 @@ def test_one_light_is_no_choice():
     assert not flatten(scenes.build([], view, [scenes.lamp(LightKind.SUN)])).effects & Effects.MANY_LIGHTS
     sun_and_lamp = [scenes.lamp(LightKind.SUN), scenes.lamp(LightKind.POINT)]
     assert flatten(scenes.build([], view, sun_and_lamp)).effects & Effects.MANY_LIGHTS
-    flat = flatten(scenes.many_lights_scene())
-    assert np.count_nonzero(flat.light_of_leaf >= 0) == np.count_nonzero(flat.light_kind != LightKind.SUN)
+    lights = lights_of(scenes.many_lights_scene())
+    assert lights.choices == len(lights) and lights.everywhere == 1
+
+
+GLOW = scenes.Material("glow", emission=(30.0,) * 3, specular_ior_level=0.0)
+DIM = scenes.Material("dim", emission=(2.0,) * 3, specular_ior_level=0.0)
+
+
+@pytest.mark.parametrize(
+    "triangles, materials, leaves",
+    [
+        ([(0, 1, 2), (0, 2, 3)], (0, 0), [0]),  # a quad
+        ([(0, 1, 2), (2, 0, 3)], (0, 1), [0, 1]),  # of two materials
+        ([(0, 1, 2), (0, 4, 2)], (0, 0), [0, 1]),  # bent
+        ([(0, 1, 2), (5, 6, 7)], (0, 0), [0, 1]),  # of one plane, apart
+        ([(0, 1, 2), (0, 2, 3), (0, 3, 5)], (0, 0, 0), [0, 2]),
+        ([(0, 1, 2), (0, 2, 3), (0, 3, 5), (0, 5, 6)], (0, 0, 0, 0), [0, 2]),  # a fan
+        ([(0, 1, 2), (0, 2, 4), (0, 4, 1)], (0, 0, 0), [0, 1, 2]),
+    ],
+)
+def test_triangles_of_a_flat_quad_are_one_leaf(triangles, materials, leaves):
+    corners = [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 2, 1), (0, 1, 2), (-1, 1, 1), (-2, -1, 1), (-3, 0, 1)]
+    shape = dataclasses.replace(scenes.mesh(corners, triangles), material_slots=np.array(materials, dtype=np.int32))
+    turned = scenes.transform((0.1, 0.2, 0.3), scenes.rotation("x", 0.6))
+    scene = scenes.build([(shape, turned, [GLOW, DIM])], scenes.camera((0, -3, 1), (0, 0, 0)))
+    lights = lights_of(scene)
+    assert sorted(lights.light_of_leaf[lights.light_of_leaf >= 0]) == leaves
+    assert lights.choices == len(triangles) and len(np.unique(lights.leaf)) == len(leaves)
+    for leaf in np.unique(lights.leaf):
+        members = np.flatnonzero(lights.leaf == leaf)
+        np.testing.assert_allclose(lights.weight[members], lights.area[members] / lights.area[members].sum())
+        node = lights.tree[len(lights.light_of_leaf) - 1 + leaf]
+        for light in members:
+            for corner in (0.0, lights.axis_x[light], lights.axis_y[light]):
+                at = lights.position[light] + corner
+                assert (at > node[0:3] - 1e-5).all() and (at < node[3:6] + 1e-5).all()
+    rng = np.random.default_rng(4)
+    points, normals = np.tile([0.3, 0.1, 0.0], (COUNT, 1)), np.tile([0.0, 0.0, 1.0], (COUNT, 1))
+    chosen, probability = lights.choose(rng.random((COUNT, 2)), points, normals)
+    stated = lights.choice_probability(np.arange(len(lights)), points[: len(lights)], normals[: len(lights)])
+    np.testing.assert_allclose(probability, stated[chosen])
+    assert_histogram(np.bincount(chosen, minlength=len(lights)), stated * COUNT)
 
 
 def surface_irradiance(lights: Lights, point, normal) -> np.ndarray:
@@ -137,8 +178,7 @@ LAMPS = (
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
 def test_lights_of_all_kinds_are_chosen_by_their_irradiance(point, normal):
     """Away from lights that are small: their irradiance, but for what bounds add near the horizon."""
-    glow = scenes.Material("glow", emission=(30.0,) * 3, specular_ior_level=0.0)
-    panel = (scenes.mesh([(-1, 2, 3), (-1, 3, 3), (-0.5, 2, 3.5)], [(0, 1, 2)]), scenes.transform(), [glow])
+    panel = (scenes.mesh([(-1, 2, 3), (-1, 3, 3), (-0.5, 2, 3.5)], [(0, 1, 2)]), scenes.transform(), [GLOW])
     scene = scenes.build([panel], scenes.camera((0, -3, 1), (0, 0, 0)), LAMPS)
     lights = lights_of(scene)
     exact = surface_irradiance(lights, point, normal)
@@ -200,7 +240,8 @@ def test_choice_is_unbiased_and_quieter_than_power_alone():
     variance."""
     lights = lights_of(scenes.many_lights_scene())
     leaf = lights.leaf
-    power = np.where(leaf >= 0, np.abs(lights.tree[len(lights.light_of_leaf) - 1 + leaf, 11]), lights.irradiance)
+    of_leaf = np.abs(lights.tree[len(lights.light_of_leaf) - 1 + leaf, 11])
+    power = lights.weight * np.where(leaf >= 0, of_leaf, 1.0)
     by_power_alone = PowerAlone(lights, power / power.sum())
     gains = []
     for point in [(0.0, 0.0, 0.0), (1.5, -1.0, 0.0), (-2.0, 2.0, 0.0), (0.2, 1.9, 0.3)]:

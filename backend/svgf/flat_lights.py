@@ -17,8 +17,8 @@ from .scene import Light, LightKind, Mesh, Scene, TextureMap
 TRIANGLE = 5
 ENVIRONMENT = 6
 
-# Columns of light_data by which suns and the environment are chosen.
-AMBIENT, IRRADIANCE = 21, 22
+# Columns of light_data by which a light is chosen, see FlatScene.
+AMBIENT, WEIGHT = 21, 22
 
 # Share of a sun's irradiance that surfaces turned away from it count with: they may have a coat that is not.
 LEAST_AMBIENT = 0.02
@@ -73,12 +73,12 @@ def flatten_lights(
     everywhere = np.count_nonzero(is_sun) + len(environment.kind)
     first_triangle = everywhere + np.count_nonzero(~is_sun)
     emitters["emitters"][:, 0] += first_triangle
-    data[:everywhere, IRRADIANCE] = intensity[:everywhere]
-    somewhere = everywhere + np.flatnonzero(intensity[everywhere:] > 0.0)
-    tree, light_of_leaf = build_light_tree(_bounds(kind[somewhere], data[somewhere], intensity[somewhere]))
-    light_of_leaf[light_of_leaf >= 0] = somewhere[light_of_leaf[light_of_leaf >= 0]]
     emission_map = np.full(len(kind), -1, dtype=np.int32)
     emission_map[first_triangle:] = emitters.pop("emission_map")
+    leaves, bounds, share = _leaves(kind, data, intensity, emission_map, everywhere)
+    data[:, WEIGHT] = np.where(np.arange(len(kind)) < everywhere, intensity, share)
+    tree, light_of_leaf = build_light_tree(bounds)
+    light_of_leaf[light_of_leaf >= 0] = leaves[light_of_leaf[light_of_leaf >= 0]]
     return {
         "light_kind": kind,
         "light_data": data,
@@ -94,6 +94,42 @@ def flatten_lights(
 
 def _chosen(rows: _Rows, chosen: np.ndarray) -> _Rows:
     return _Rows(*(values[chosen] for values in vars(rows).values()))
+
+
+def _leaves(
+    kind: np.ndarray, data: np.ndarray, intensity: np.ndarray, emission_map: np.ndarray, everywhere: int
+) -> tuple[np.ndarray, LightBounds, np.ndarray]:
+    """Of the light tree: the first light of each leaf, the leaves' bounds, and each light's share [L] of its leaf."""
+    shines = (intensity > 0.0) & (np.arange(len(kind)) >= everywhere)
+    is_half = _halves_of_quads(kind, data, shines & (emission_map < 0))
+    leaves = np.flatnonzero(shines & ~np.append(False, is_half)[:-1])
+    last = leaves + is_half[leaves]
+    each = _bounds(kind, data, intensity)
+    bounds = each.rows(leaves)
+    bounds.low, bounds.high = np.minimum(bounds.low, each.low[last]), np.maximum(bounds.high, each.high[last])
+    bounds.intensity = bounds.intensity + np.where(is_half[leaves], intensity[last], 0.0)
+    share = np.ones(len(kind))
+    share[last] = intensity[last] / bounds.intensity
+    share[leaves] = intensity[leaves] / bounds.intensity
+    return leaves, bounds, share
+
+
+def _halves_of_quads(kind: np.ndarray, data: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """bool [L]: whether a light and the next one are triangles of one radiance and plane with a common edge. No light
+    is in two such pairs."""
+    corner = np.stack([data[:, 0:3], data[:, 0:3] + data[:, 3:6], data[:, 0:3] + data[:, 6:9]])
+    size = np.abs(data[:, 3:9]).max(axis=1, initial=0.0)
+    common = sum(
+        np.any([np.abs(a[:-1] - b[1:]).max(axis=1) <= 1e-6 * size[:-1] for b in corner], axis=0).astype(int)
+        for a in corner
+    )
+    is_flat = np.abs(np.einsum("ni,ni->n", data[:-1, 9:12], data[1:, 9:12])) > 1.0 - 1e-6
+    is_same = (data[:-1, 12:15] == data[1:, 12:15]).all(axis=1)
+    triangle = allowed & (kind == TRIANGLE)
+    pair = np.append((common >= 2) & is_flat & is_same & triangle[:-1] & triangle[1:], False)[: len(kind)]
+    # Of a run of them every other one.
+    run_start = np.maximum.accumulate(np.where(pair, 0, np.arange(len(pair)) + 1))
+    return pair & ((np.arange(len(pair)) - run_start) % 2 == 0)
 
 
 def _bounds(kind: np.ndarray, data: np.ndarray, intensity: np.ndarray) -> LightBounds:

@@ -8,7 +8,9 @@
 // Departures: the tree is a complete binary one, split in halves by count, so that the way to a light is the binary
 // number of its leaf and needs no memory. Importance counts the cosine at the receiver, as pbrt-v4 does. The choice
 // starts among several nodes instead of at the root, whose box says little about a few lights far apart: up to eight
-// lights are all weighed on their own.
+// lights are all weighed on their own. Two triangles of a flat quad are one leaf, as their boxes tell little apart.
+//
+// Before, fewer than 16 lights were chosen by their power, and suns and the environment always.
 #pragma once
 
 #include "core/load.h"
@@ -64,7 +66,7 @@ SVGF_HD inline float light_importance(const LightNode& node, Vec3 point, Vec3 no
 // The same of a sun or the environment, which is taken for a sun and for light from all around.
 SVGF_HD inline float estimate_irradiance(const Light& light, Vec3 normal) {
     const float facing = faces_one_way(normal) ? max(dot(light.axis_z, normal), 0.0f) : 1.0f;
-    return light.irradiance * min(facing + light.ambient, 1.0f);
+    return light.weight * min(facing + light.ambient, 1.0f);
 }
 
 // Finds the light that u chooses, or, where `light` is >= 0, only the probability with which it would be chosen, which
@@ -79,7 +81,9 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
     float node_importance[1 << start_level], total = 0.0f;
     for (int i = 0; i < everywhere; ++i) total += estimate_irradiance(lights.rows[i], normal);
     for (int i = 0; i < count; ++i) {
-        node_importance[i] = light_importance(load(lights.nodes + first_node + i), point, normal);
+        // With nothing beside it there is nothing to weigh.
+        node_importance[i] =
+            everywhere + count > 1 ? light_importance(load(lights.nodes + first_node + i), point, normal) : 1.0f;
         total += node_importance[i];
     }
     const auto importance = [&](int i) {
@@ -125,8 +129,12 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
         probability *= share;
         node = 2 * node + (goes_left ? 1 : 2);
     }
-    light = lights.light_of_leaf[node - ((1 << depth) - 1)];
-    return probability;
+    if (!is_given) {
+        light = lights.light_of_leaf[node - ((1 << depth) - 1)];
+        if (light < 0) return 0.0f;
+        if (!((depth < steps_of_first ? u.x : u.y) < lights.rows[light].weight)) ++light;
+    }
+    return probability * lights.rows[light].weight;
 }
 
 }  // namespace svgf

@@ -87,9 +87,9 @@ def choose_start(importance: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.
 
 def walk_light_tree(
     nodes: np.ndarray, start: np.ndarray, point: np.ndarray, normal: np.ndarray, u: np.ndarray, target: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The leaf [n] that u [n, 2] chooses, or target [n] where that is >= 0, and the probability of getting there from
-    node start [n] of the start level, 0 where no light below it reaches the point."""
+    node start [n] of the start level, 0 where no light below it reaches the point; and what is left of u, [n]."""
     depth, first = tree_depth(nodes), start_level(nodes)
     node = (1 << first) - 1 + start
     probability = np.ones(len(point))
@@ -105,4 +105,4 @@ def walk_light_tree(
             number[:] = np.minimum(np.where(goes_left, number, number - left_share) / share, 1.0 - 2.0**-24)
         probability *= np.where(left + right > 0.0, share, 0.0)
         node = 2 * node + np.where(goes_left, 1, 2)
-    return node - ((1 << depth) - 1), np.nan_to_num(probability)
+    return node - ((1 << depth) - 1), np.nan_to_num(probability), u[:, 0 if depth < LEVELS_OF_FIRST else 1]

@@ -61,13 +61,15 @@ class Lights:
         self.soft_falloff = data[:, 23] != 0.0
         every_ray = np.full(len(data), int(RayVisibility.ALL))
         self.visibility = every_ray if light_visibility is None else np.asarray(light_visibility, dtype=np.int64)
-        self.ambient, self.irradiance = data[:, 21], data[:, 22]
+        self.ambient, self.weight = data[:, 21], data[:, 22]
         self.everywhere = int(np.isin(self.kind, (LightKind.SUN, ENVIRONMENT)).sum())
         self.tree = np.asarray(light_tree, dtype=np.float64).reshape(-1, 12)
         self.light_of_leaf = np.asarray(light_of_leaf, dtype=np.int64)
         self.leaf = np.full(len(data), -1, dtype=np.int64)
         leaves = np.flatnonzero(self.light_of_leaf >= 0)
         self.leaf[self.light_of_leaf[leaves]] = leaves
+        paired = leaves[self.weight[self.light_of_leaf[leaves]] < 1.0]
+        self.leaf[self.light_of_leaf[paired] + 1] = paired
         self.emitters = np.asarray(emitters, dtype=np.int64).reshape(-1, 2)
         self.light_of_triangle = np.asarray(light_of_triangle, dtype=np.int64)
         self.emission_map = np.full(len(data), -1) if emission_map is None else np.asarray(emission_map)
@@ -81,7 +83,7 @@ class Lights:
     @property
     def choices(self) -> int:
         """How many lights may be chosen."""
-        return self.everywhere + np.count_nonzero(self.light_of_leaf >= 0)
+        return self.everywhere + np.count_nonzero(self.leaf >= 0)
 
     def choose(self, u: np.ndarray, point: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A light for each point [n, 3] with the receiver's lit normal [n, 3], and the probability of choosing it, 0
@@ -91,11 +93,12 @@ class Lights:
         rows = np.flatnonzero((start >= self.everywhere) & (chance > 0.0))
         if len(rows):
             numbers, none = np.column_stack([place, u[:, 1]])[rows], np.full(len(rows), -1)
-            leaf, share = walk_light_tree(
+            leaf, share, number = walk_light_tree(
                 self.tree, start[rows] - self.everywhere, point[rows], normal[rows], numbers, none
             )
-            light[rows] = self.light_of_leaf[leaf]
-            chance[rows] *= np.where(light[rows] >= 0, share, 0.0)
+            first = self.light_of_leaf[leaf]
+            light[rows] = np.where((first >= 0) & (number >= self.weight[first]), first + 1, first)
+            chance[rows] *= np.where(first >= 0, share * self.weight[light[rows]], 0.0)
         return np.maximum(light, 0), chance
 
     def choice_probability(self, light: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -111,7 +114,7 @@ class Lights:
             chance = np.where(known & (own > 0.0), own / total, 0.0)
         rows = np.flatnonzero((leaf >= 0) & (chance > 0.0))
         if len(rows):
-            _, share = walk_light_tree(
+            _, share, _ = walk_light_tree(
                 self.tree,
                 start[rows] - self.everywhere,
                 point[rows],
@@ -119,15 +122,16 @@ class Lights:
                 np.zeros((len(rows), 2)),
                 leaf[rows],
             )
-            chance[rows] *= share
+            chance[rows] *= share * self.weight[light[rows]]
         return chance
 
     def _start_importance(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """[n, choices]: of the lights that are everywhere, and of the nodes at which walks start."""
         facing = np.maximum(normal @ self.axis_z[: self.everywhere].T, 0.0)
         facing[~normal.any(axis=1)] = 1.0
-        everywhere = self.irradiance[: self.everywhere] * np.minimum(facing + self.ambient[: self.everywhere], 1.0)
-        return np.concatenate([everywhere, start_importance(self.tree, point, normal)], axis=1)
+        everywhere = self.weight[: self.everywhere] * np.minimum(facing + self.ambient[: self.everywhere], 1.0)
+        importance = np.concatenate([everywhere, start_importance(self.tree, point, normal)], axis=1)
+        return importance if importance.shape[1] > 1 else np.ones_like(importance)
 
     def sample(self, light: np.ndarray, probability: np.ndarray, point: np.ndarray, uv: np.ndarray) -> LightSample:
         """A point on light [n] (indices), chosen with a probability [n], as seen from point [n, 3]."""
