@@ -253,28 +253,33 @@ def test_degenerate_triangles_are_no_lights():
     assert np.isfinite(flat.extent) and np.isfinite(flat.light_data).all()
 
 
-def test_probabilities_are_shares_of_the_weights():
-    """Lamps by power, a sun by what it sends through the scene's disk, triangles by their flux."""
+SUN = 20.0
+
+
+def test_intensities_are_in_one_unit():
+    """W / sr along the axis of lamps and triangles, W / m^2 of a sun; of these only the ratios are kept."""
     objects = [(scenes.quad(2.0), scenes.transform(), [GLOW])]
     lamps = [
         scenes.lamp(LightKind.POINT, power=(3.0, 6.0, 9.0)),
-        scenes.lamp(LightKind.SUN, power=(10.0, 20.0, 30.0)),
+        scenes.lamp(LightKind.SUN, power=(5.0 * SUN, 10.0 * SUN, 15.0 * SUN), size=(0.0, 0.0)),
         scenes.lamp(LightKind.RECTANGLE, power=(1.0, 1.0, 4.0)),
+        scenes.lamp(LightKind.POINT, power=(0.0, 0.0, 0.0)),
     ]
     flat = flatten(scenes.build(objects, VIEW, lamps))
-    radius = np.sqrt(8) / 2
-    weights = np.array([2.0 * np.pi * radius**2, 6.0, 2.0, 2.0 * 2.0 * np.pi, 2.0 * 2.0 * np.pi])
-    np.testing.assert_allclose(flat.light_probability, weights / weights.sum())
-    np.testing.assert_allclose(flat.light_cdf, np.concatenate([[0], np.cumsum(weights)]) / weights.sum())
-    assert flat.light_cdf[0] == 0 and flat.light_cdf[-1] == 1
+    np.testing.assert_allclose(flat.light_data[0, [21, 22]], [0.02, 1.0])
+    leaves = flat.light_tree[len(flat.light_of_leaf) - 1 :, 11][flat.light_of_leaf >= 0]
+    of_light = dict(zip(flat.light_of_leaf[flat.light_of_leaf >= 0], np.abs(leaves), strict=True))
+    expected = np.array([6.0 / (4.0 * np.pi), 2.0 / np.pi, 2.0 * 4.0]) / SUN  # two triangles are one leaf
+    np.testing.assert_allclose([of_light[light] for light in (1, 2, 3)], expected, rtol=1e-6)
+    np.testing.assert_allclose(flat.light_data[1:, 22], [1.0, 1.0, 0.5, 0.5])
     # Suns come first.
     assert flat.light_kind.tolist() == [LightKind.SUN, LightKind.POINT, LightKind.RECTANGLE, TRIANGLE, TRIANGLE]
 
 
 def test_without_lights():
     flat = flatten(scenes.build([(scenes.quad(), scenes.transform(), [scenes.WHITE])], VIEW))
-    assert flat.light_kind.shape == (0,) and flat.light_data.shape == (0, 24) and flat.light_cdf.tolist() == [0.0]
-    assert not len(flat.light_tree) and (flat.emitter == -1).all()
+    assert flat.light_kind.shape == (0,) and flat.light_data.shape == (0, 24)
+    assert not len(flat.light_tree) and not len(flat.light_of_leaf) and (flat.emitter == -1).all()
 
 
 def test_lamp_units():
@@ -311,7 +316,7 @@ def test_what_did_not_change_is_the_same_array():
     first = flatten(scene)
     turned = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, window=(-0.4, 0.4, -0.2, 0.2)))
     second = flatten(turned, first)
-    for name in ("object_to_world", "materials", "light_data", "light_cdf", "mesh_bounds"):
+    for name in ("object_to_world", "materials", "light_data", "light_tree", "mesh_bounds"):
         assert getattr(second, name) is getattr(first, name)
     dimmed = dataclasses.replace(turned, materials=tuple(dataclasses.replace(m) for m in turned.materials))
     third = flatten(dimmed, second)
@@ -338,7 +343,7 @@ def test_what_did_not_change_is_the_same_array():
             | Effects.OBJECT_MOTION,
         ),
         (scenes.deforming_scene(), Effects.DEFORMATION | Effects.AREA_LIGHTS),
-        (scenes.mesh_light_scene(), Effects.MESH_LIGHTS | Effects.SPECULAR),
+        (scenes.mesh_light_scene(), Effects.MESH_LIGHTS | Effects.SPECULAR | Effects.MANY_LIGHTS),
         (scenes.lamp_scene(scenes.lamp(LightKind.SUN, size=(0.0, 0.0))), Effects.SPECULAR | Effects.DELTA_LIGHTS),
         (scenes.build([], VIEW), Effects.NONE),
         (scenes.build([], VIEW, [scenes.lamp(LightKind.POINT, power=(0, 0, 0))]), Effects.NONE),

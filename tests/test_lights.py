@@ -12,7 +12,7 @@ from svgf.renderer import LIGHT_FIELDS
 from svgf.scene import Light, LightKind
 
 from . import scenes
-from .statistical import assert_histogram, assert_mean
+from .statistical import assert_mean
 
 COUNT = 40_000
 UP = np.array([0.0, 0.0, 1.0])
@@ -165,25 +165,6 @@ def test_many_lights_add_up():
     view = scenes.camera((0, -3, 1), (0, 0, 0))
     together = lights_of(scenes.build([(scenes.quad(2.0), scenes.transform(), [scenes.WHITE])], view, lamps))
     assert_mean(irradiance_samples(together)[:, 0], sum(alone), rounding=0.01)
-
-
-def test_choice_follows_the_probabilities():
-    lights = lights_of(scenes.mesh_light_scene())
-    light, _ = lights.choose(np.random.default_rng(0).random((COUNT, 2)), *np.zeros((2, COUNT, 3)))
-    counts = np.bincount(light, minlength=len(lights))
-    assert_histogram(counts, lights.probability * COUNT)
-
-
-def test_choice_at_the_edges_of_the_intervals():
-    lights = Lights(
-        light_kind=[0] * 4,
-        light_data=np.zeros((4, 24)),
-        light_probability=[0.25, 0.0, 0.5, 0.25],
-        light_cdf=[0, 0.25, 0.25, 0.75, 1],
-    )
-    u = np.array([0, 0.25 - 2**-24, 0.25, 0.75 - 2**-24, 0.75, 1 - 2**-24])
-    light, _ = lights.choose(np.column_stack([u, u]), *np.zeros((2, len(u), 3)))
-    np.testing.assert_array_equal(light, [0, 0, 2, 2, 3, 3])
 
 
 SIZED = {

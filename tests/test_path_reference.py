@@ -341,7 +341,7 @@ def test_floor_under_an_image(device):
 
 def test_directions_of_an_image_have_their_density():
     texture = scenes.sky_texture()
-    rows, columns, _ = sampling_map(mean_radiance(texture))
+    rows, columns, *_ = sampling_map(mean_radiance(texture))
     sky = Sky((1, 1, 1), image=Texture(None, texture.pixels, False, 1, 0, False), row_cdf=rows, column_cdf=columns,
               to_environment=scenes.rotation("x", 0.7))  # fmt: skip
     directions, density = sky.sample(np.random.default_rng(0).random((20_000, 2)))

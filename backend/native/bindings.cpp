@@ -119,12 +119,11 @@ void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, Ho
 }
 
 void set_lights(Tracer& tracer, HostArray<int32_t> kind, HostArray<float> data, HostArray<uint8_t> visibility,
-                HostArray<float> probability, HostArray<float> cdf, HostArray<float> tree,
-                HostArray<int32_t> light_of_leaf, HostArray<int32_t> emitters, HostArray<int32_t> light_of_triangle,
-                HostArray<int32_t> emission_map, HostArray<float> emission_maps) {
-    tracer.set_lights({span_of(kind), span_of(data), span_of(visibility), span_of(probability), span_of(cdf),
-                       span_of(tree), span_of(light_of_leaf), span_of(emitters), span_of(light_of_triangle),
-                       span_of(emission_map), span_of(emission_maps)});
+                HostArray<float> tree, HostArray<int32_t> light_of_leaf, HostArray<int32_t> emitters,
+                HostArray<int32_t> light_of_triangle, HostArray<int32_t> emission_map,
+                HostArray<float> emission_maps) {
+    tracer.set_lights({span_of(kind), span_of(data), span_of(visibility), span_of(tree), span_of(light_of_leaf),
+                       span_of(emitters), span_of(light_of_triangle), span_of(emission_map), span_of(emission_maps)});
 }
 
 void set_world(Tracer& tracer, HostArray<float> radiance, uint32_t visibility, int texture, int light,
@@ -426,9 +425,8 @@ void bind_tracer(nb::module_& module) {
         .def("set_albedo_tables", [](Tracer& tracer, HostArray<float> tables) {
             tracer.set_albedo_tables(span_of(tables));
         }, "tables"_a)
-        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_probability"_a,
-             "light_cdf"_a, "light_tree"_a, "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a,
-             "emission_maps"_a)
+        .def("set_lights", &set_lights, "light_kind"_a, "light_data"_a, "light_visibility"_a, "light_tree"_a,
+             "light_of_leaf"_a, "emitters"_a, "light_of_triangle"_a, "emission_map"_a, "emission_maps"_a)
         .def("set_world", &set_world, "radiance"_a, "visibility"_a, "texture"_a, "light"_a, "to_environment"_a,
              "row_cdf"_a, "column_cdf"_a, "backdrop_radiance"_a, "backdrop_texture"_a)
         .def("set_camera", &set_camera, "camera_to_world"_a, "previous_camera_to_world"_a, "window"_a,

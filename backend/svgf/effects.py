@@ -20,9 +20,9 @@ class Effects(IntFlag):
     frame. DEFORMATION: vertices moved within an object. ALPHA: a material lets rays straight through. NORMAL_MAPS,
     COAT, SHEEN, ANISOTROPY: a material has one. MATERIAL_MIXES: a material is a mix or a sum of others.
     ENVIRONMENT_MAP: the world is an image. DEPTH_OF_FIELD: the lens has an opening. RAY_VISIBILITY: not all kinds of
-    rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: so many that it pays to choose
-    among them at every point anew. PERFECT_SPECULAR: a material is a mirror or clear glass, without roughness and
-    nothing diffuse.
+    rays see the same. LIGHT_PATH_LIMITS: see ``LightPaths``. MANY_LIGHTS: there is more than one light to choose from:
+    lamps, triangles that shine, the image of the world. PERFECT_SPECULAR: a material is a mirror or clear glass,
+    without roughness and nothing diffuse.
     """
 
     NONE = 0
@@ -65,6 +65,8 @@ def find_effects(scene: Scene) -> Effects:
         effects |= _material_effects(scene.materials[index])
     for light in scene.lights:
         effects |= _light_effects(light)
+    if sum(_count_lights(scene, effects).values()) > 1:
+        effects |= Effects.MANY_LIGHTS
     instances = scene.instances
     if not np.array_equal(instances.object_to_world, instances.previous_object_to_world):
         effects |= Effects.OBJECT_MOTION
@@ -123,8 +125,21 @@ def find_causes(scene: Scene) -> dict[Effects, tuple[str, ...]]:
         blame(f"{count} moving instance{'s' if count > 1 else ''}", Effects.OBJECT_MOTION)
     blame("settings of objects, lamps or the world", Effects.RAY_VISIBILITY)
     blame("the render settings", Effects.LIGHT_PATH_LIMITS)
-    blame(f"{len(scene.lights)} lamps", Effects.MANY_LIGHTS)
+    for name, count in _count_lights(scene, found).items():
+        if count:
+            blame(name, Effects.MANY_LIGHTS)
     return {effect: tuple(names) for effect, names in causes.items()}
+
+
+def _count_lights(scene: Scene, effects: Effects) -> dict[str, int]:
+    """Where light comes from that paths aim at. effects: the others. Of emissive triangles any number counts as two."""
+    lamps = sum(_light_effects(light) != Effects.NONE for light in scene.lights)
+    has_image = scene.world.environment >= 0 and max(scene.world.radiance) > 0.0
+    return {
+        f"{lamps} lamp{'s' if lamps > 1 else ''}": lamps,
+        "triangles that shine": 2 if Effects.MESH_LIGHTS in effects else 0,
+        "the image of the world": int(has_image),
+    }
 
 
 def _light_effects(light: Light) -> Effects:

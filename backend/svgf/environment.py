@@ -33,9 +33,10 @@ def mean_radiance(image: Texture) -> np.ndarray:
     return luminance
 
 
-def sampling_map(luminance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """row_cdf [rows + 1], column_cdf [rows, columns + 1] (float32, as all devices use them) and the mean over all
-    directions of the radiance that is sampled; empty cdfs and 0 where sampling has nothing to gain.
+def sampling_map(luminance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """row_cdf [rows + 1], column_cdf [rows, columns + 1] (float32, as all devices use them), the mean over all
+    directions of the radiance that is sampled, and the mean direction [3] of that radiance, in the environment's space:
+    the shorter, the less of it comes from one side. Empty cdfs and zeros where sampling has nothing to gain.
 
     The map is lowered by its mean and cut off at zero [Karlik19]: rays that run into the sky find the rest.
     """
@@ -48,7 +49,7 @@ def sampling_map(luminance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     total = weight.sum()
     # What differs by roundings only is one colour.
     if not total > 1e-4 * mean:
-        return np.zeros(0, np.float32), np.zeros((0, 1), np.float32), 0.0
+        return np.zeros(0, np.float32), np.zeros((0, 1), np.float32), 0.0, np.zeros(3)
     columns = np.zeros((rows, luminance.shape[1] + 1))
     np.cumsum(excess, axis=1, out=columns[:, 1:])
     last = columns[:, -1:]
@@ -56,4 +57,13 @@ def sampling_map(luminance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     columns[:, -1] = 1.0
     row_cdf = np.concatenate([[0.0], np.cumsum(weight / total)])
     row_cdf[-1] = 1.0
-    return row_cdf.astype(np.float32), columns.astype(np.float32), float(total)
+    return row_cdf.astype(np.float32), columns.astype(np.float32), float(total), _mean_direction(excess * area[:, None])
+
+
+def _mean_direction(weight: np.ndarray) -> np.ndarray:
+    """[3], of the cells [rows, columns] of a map."""
+    elevation = ((np.arange(weight.shape[0]) + 0.5) / weight.shape[0] - 0.5) * np.pi
+    azimuth = (0.5 - (np.arange(weight.shape[1]) + 0.5) / weight.shape[1]) * 2.0 * np.pi
+    around = np.stack([weight @ np.cos(azimuth), weight @ np.sin(azimuth)]) * np.cos(elevation)
+    upward = weight.sum(axis=1) * np.sin(elevation)
+    return np.append(around.sum(axis=1), upward.sum()) / weight.sum()

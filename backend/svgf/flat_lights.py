@@ -17,6 +17,12 @@ from .scene import Light, LightKind, Mesh, Scene, TextureMap
 TRIANGLE = 5
 ENVIRONMENT = 6
 
+# Columns of light_data by which a light is chosen, see FlatScene.
+AMBIENT, WEIGHT = 21, 22
+
+# Share of a sun's irradiance that surfaces turned away from it count with: they may have a coat that is not.
+LEAST_AMBIENT = 0.02
+
 # Radiance of an area lamp, times its area, over its power.
 AREA_LAMP_RADIANCE = 1.0 / np.pi
 
@@ -37,12 +43,13 @@ class Emission:
 
 @dataclass
 class _Rows:
-    """Lights of one kind. weight: [n], by which one is chosen."""
+    """Lights of one kind. intensity: [n], W / sr along the axis, of suns and the environment irradiance; for choosing
+    one."""
 
     kind: np.ndarray
     data: np.ndarray
     visibility: np.ndarray
-    weight: np.ndarray
+    intensity: np.ndarray
 
 
 def flatten_lights(
@@ -50,28 +57,34 @@ def flatten_lights(
     instances: dict[str, np.ndarray],
     emission: Emission,
     origin: np.ndarray,
-    extent: float,
-    smallest_tree: int,
 ) -> dict[str, Any]:
     """The fields of a FlatScene that are about choosing and finding lights. instances: its fields of instances."""
-    lamps = _lamps(scene.lights, origin, extent)
-    environment, row_cdf, column_cdf = _environment(scene, extent)
+    lamps = _lamps(scene.lights, origin)
+    environment, row_cdf, column_cdf = _environment(scene)
     triangles, emitters = _emissive_triangles(scene, instances, emission)
     is_sun = lamps.kind == LightKind.SUN
     groups = (_chosen(lamps, is_sun), environment, _chosen(lamps, ~is_sun), triangles)
-    kind, data, visibility, weight = (
-        np.concatenate([getattr(rows, name) for rows in groups]) for name in ("kind", "data", "visibility", "weight")
+    kind, data, visibility, intensity = (
+        np.concatenate([getattr(rows, name) for rows in groups])
+        for name in ("kind", "data", "visibility", "intensity")
     )
+    # Only their ratios count. These fit into every float.
+    intensity /= intensity.max(initial=np.finfo(float).tiny)
     everywhere = np.count_nonzero(is_sun) + len(environment.kind)
     first_triangle = everywhere + np.count_nonzero(~is_sun)
     emitters["emitters"][:, 0] += first_triangle
     emission_map = np.full(len(kind), -1, dtype=np.int32)
     emission_map[first_triangle:] = emitters.pop("emission_map")
+    leaves, bounds, share = _leaves(kind, data, intensity, emission_map, everywhere)
+    data[:, WEIGHT] = np.where(np.arange(len(kind)) < everywhere, intensity, share)
+    tree, light_of_leaf = build_light_tree(bounds)
+    light_of_leaf[light_of_leaf >= 0] = leaves[light_of_leaf[light_of_leaf >= 0]]
     return {
         "light_kind": kind,
         "light_data": data,
         "light_visibility": visibility,
-        **_choice(kind, data, weight, everywhere, smallest_tree),
+        "light_tree": tree,
+        "light_of_leaf": light_of_leaf,
         "emission_map": emission_map,
         **emitters,
         "row_cdf": row_cdf,
@@ -83,27 +96,43 @@ def _chosen(rows: _Rows, chosen: np.ndarray) -> _Rows:
     return _Rows(*(values[chosen] for values in vars(rows).values()))
 
 
-def _choice(
-    kind: np.ndarray, data: np.ndarray, weight: np.ndarray, everywhere: int, smallest_tree: int
-) -> dict[str, np.ndarray]:
-    """everywhere: how many of the first lights are suns or the environment."""
-    total = weight.sum()
-    nodes, light_of_leaf = np.zeros((0, 12)), np.zeros(0, dtype=np.int32)
-    share = weight / total if total > 0.0 else weight
-    intervals, probability = share, share
-    if len(weight) - everywhere >= smallest_tree:
-        nodes, light_of_leaf = build_light_tree(_bounds(kind[everywhere:], data[everywhere:], weight[everywhere:]))
-        light_of_leaf[light_of_leaf >= 0] += everywhere
-        intervals = np.append(share[:everywhere], share[everywhere:].sum())
-        probability = np.where(np.arange(len(weight)) < everywhere, share, intervals[-1])
-    cdf = np.zeros(len(intervals) + 1)
-    if len(intervals):
-        np.cumsum(intervals, out=cdf[1:])
-        cdf[1:] /= cdf[-1]
-    return {"light_probability": probability, "light_cdf": cdf, "light_tree": nodes, "light_of_leaf": light_of_leaf}
+def _leaves(
+    kind: np.ndarray, data: np.ndarray, intensity: np.ndarray, emission_map: np.ndarray, everywhere: int
+) -> tuple[np.ndarray, LightBounds, np.ndarray]:
+    """Of the light tree: the first light of each leaf, the leaves' bounds, and each light's share [L] of its leaf."""
+    shines = (intensity > 0.0) & (np.arange(len(kind)) >= everywhere)
+    is_half = _halves_of_quads(kind, data, shines & (emission_map < 0))
+    leaves = np.flatnonzero(shines & ~np.append(False, is_half)[:-1])
+    last = leaves + is_half[leaves]
+    each = _bounds(kind, data, intensity)
+    bounds = each.rows(leaves)
+    bounds.low, bounds.high = np.minimum(bounds.low, each.low[last]), np.maximum(bounds.high, each.high[last])
+    bounds.intensity = bounds.intensity + np.where(is_half[leaves], intensity[last], 0.0)
+    share = np.ones(len(kind))
+    share[last] = intensity[last] / bounds.intensity
+    share[leaves] = intensity[leaves] / bounds.intensity
+    return leaves, bounds, share
 
 
-def _bounds(kind: np.ndarray, data: np.ndarray, weight: np.ndarray) -> LightBounds:
+def _halves_of_quads(kind: np.ndarray, data: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """bool [L]: whether a light and the next one are triangles of one radiance and plane with a common edge. No light
+    is in two such pairs."""
+    corner = np.stack([data[:, 0:3], data[:, 0:3] + data[:, 3:6], data[:, 0:3] + data[:, 6:9]])
+    size = np.abs(data[:, 3:9]).max(axis=1, initial=0.0)
+    common = sum(
+        np.any([np.abs(a[:-1] - b[1:]).max(axis=1) <= 1e-6 * size[:-1] for b in corner], axis=0).astype(int)
+        for a in corner
+    )
+    is_flat = np.abs(np.einsum("ni,ni->n", data[:-1, 9:12], data[1:, 9:12])) > 1.0 - 1e-6
+    is_same = (data[:-1, 12:15] == data[1:, 12:15]).all(axis=1)
+    triangle = allowed & (kind == TRIANGLE)
+    pair = np.append((common >= 2) & is_flat & is_same & triangle[:-1] & triangle[1:], False)[: len(kind)]
+    # Of a run of them every other one.
+    run_start = np.maximum.accumulate(np.where(pair, 0, np.arange(len(pair)) + 1))
+    return pair & ((np.arange(len(pair)) - run_start) % 2 == 0)
+
+
+def _bounds(kind: np.ndarray, data: np.ndarray, intensity: np.ndarray) -> LightBounds:
     """Of lights that are somewhere."""
     position, axis_x, axis_y, axis_z = (data[:, i : i + 3] for i in (0, 3, 6, 9))
     size, tangent = data[:, 15:17], data[:, 18]
@@ -114,67 +143,74 @@ def _bounds(kind: np.ndarray, data: np.ndarray, weight: np.ndarray) -> LightBoun
     half = np.where(is_ball[:, None], size[:, 0:1], (np.abs(axis_x) * size[:, 0:1] + np.abs(axis_y) * size[:, 1:2]) / 2)
     low = np.where(is_triangle[:, None], corners.min(axis=0), position - half)
     high = np.where(is_triangle[:, None], corners.max(axis=0), position + half)
-    # A spot fades out at its cone, an area lamp with a spread at its angle; all others shine to a whole side.
+    # An area lamp with a spread fades out at its angle. A spot is as bright all over its cone, but for the blend: as if
+    # it were many that each shine straight on, and hardly beside that.
     has_spread = ~is_triangle & ~is_ball & (data[:, 19] > 0.0)
     cos_emission = np.where(has_spread, np.cos(np.arctan(np.where(has_spread, tangent, 0.0))), 0.0)
-    cos_emission = np.where(kind == LightKind.SPOT, data[:, 18], cos_emission)
+    is_spot = kind == LightKind.SPOT
+    cos_normals = np.where(is_spot, data[:, 18], np.where(kind == LightKind.POINT, -1.0, 1.0))
     return LightBounds(
         low=low,
         high=high,
         axis=np.where(is_triangle[:, None], axis_z, -axis_z),
-        cos_normals=np.where(kind == LightKind.POINT, -1.0, 1.0),
-        cos_emission=cos_emission,
-        power=weight,
+        cos_normals=cos_normals,
+        cos_emission=np.where(is_spot, 1.0 - 1e-6, cos_emission),
+        intensity=intensity,
         two_sided=is_triangle,
     )
 
 
-def _environment(scene: Scene, extent: float) -> tuple[_Rows, np.ndarray, np.ndarray]:
+def _environment(scene: Scene) -> tuple[_Rows, np.ndarray, np.ndarray]:
     """No row or one, row_cdf and column_cdf."""
     world = scene.world
-    row_cdf, column_cdf, mean = np.zeros(0, np.float32), np.zeros((0, 1), np.float32), 0.0
+    row_cdf, column_cdf, mean, axis = np.zeros(0, np.float32), np.zeros((0, 1), np.float32), 0.0, np.zeros(3)
     if world.environment >= 0 and max(world.radiance) > 0.0:
-        row_cdf, column_cdf, mean = sampling_map(mean_radiance(scene.textures[world.environment]))
-    weight = float(np.mean(world.radiance)) * mean * 4.0 * np.pi * np.pi * (extent / 2.0) ** 2
-    count = int(0.0 < weight < np.inf)
+        row_cdf, column_cdf, mean, axis = sampling_map(mean_radiance(scene.textures[world.environment]))
+    # What is sampled is taken for a sun that sends the directed part of it, and the rest for light from all around, of
+    # which a surface gets a quarter.
+    irradiance = float(np.mean(world.radiance)) * mean * 4.0 * np.pi
+    count = int(0.0 < irradiance < np.inf)
+    data = np.zeros((count, 24))
+    data[:, 9:12] = axis @ np.asarray(world.world_to_environment, dtype=np.float64).reshape(3, 3)
+    data[:, AMBIENT] = max(LEAST_AMBIENT, (1.0 - np.linalg.norm(axis)) / 4.0)
     rows = _Rows(
         np.full(count, ENVIRONMENT, dtype=np.int32),
-        np.zeros((count, 24)),
+        data,
         np.full(count, int(world.visibility), dtype=np.uint8),
-        np.full(count, weight),
+        np.full(count, irradiance),
     )
     return rows, row_cdf, column_cdf
 
 
-def _lamps(lights: tuple[Light, ...], origin: np.ndarray, extent: float) -> _Rows:
+def _lamps(lights: tuple[Light, ...], origin: np.ndarray) -> _Rows:
     """The lamps that shine."""
-    kinds, rows, weights, visibilities = [], [], [], []
+    kinds, rows, intensities, visibilities = [], [], [], []
     for light in lights:
-        row, weight = _lamp(light, origin, extent)
-        if 0.0 < weight < np.inf:
+        row, intensity = _lamp(light, origin)
+        if 0.0 < intensity < np.inf:
             kinds.append(int(light.kind))
             rows.append(row)
-            weights.append(weight)
+            intensities.append(intensity)
             visibilities.append(int(light.visibility))
     return _Rows(
         np.array(kinds, dtype=np.int32),
         np.array(rows).reshape(-1, 24),
         np.array(visibilities, dtype=np.uint8),
-        np.array(weights, dtype=np.float64),
+        np.array(intensities, dtype=np.float64),
     )
 
 
-def _lamp(light: Light, origin: np.ndarray, extent: float) -> tuple[np.ndarray, float]:
+def _lamp(light: Light, origin: np.ndarray) -> tuple[np.ndarray, float]:
     row = np.zeros(24)
     axes = np.asarray(light.light_to_world, dtype=np.float64)[:, :3].T
     row[0:3] = light.light_to_world[:, 3] - origin
     row[3:12] = (axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-300)).ravel()
     power = np.asarray(light.power, dtype=np.float64)
-    weight = power.mean()
+    mean = float(power.mean())
     if light.kind in (LightKind.POINT, LightKind.SPOT):
         radius = max(light.size[0], 0.0)
-        intensity = power / (4.0 * np.pi)
-        row[12:15] = intensity / (np.pi * radius**2) if radius > 0.0 else intensity
+        intensity = mean / (4.0 * np.pi)
+        row[12:15] = power / (4.0 * np.pi) / (np.pi * radius**2 if radius > 0.0 else 1.0)
         row[15] = radius
         row[20] = radius == 0.0
         row[23] = light.soft_falloff and radius > 0.0
@@ -183,23 +219,27 @@ def _lamp(light: Light, origin: np.ndarray, extent: float) -> tuple[np.ndarray, 
         row[12:15] = power / (np.pi * sine**2) if sine > 0.0 else power
         row[15:17] = sine, cosine
         row[20] = sine <= 0.0
-        weight *= np.pi * (extent / 2.0) ** 2
+        intensity = mean
+        # At the horizon half a disk is seen: 2 / (3 pi) of its radius, for a small one.
+        row[AMBIENT] = max(LEAST_AMBIENT, sine / 4.0)
     else:
         widths = np.maximum(light.size, SMALLEST_LAMP_WIDTH)
         area = widths.prod() * (np.pi / 4.0 if light.kind == LightKind.ELLIPSE else 1.0)
         row[12:15] = power * AREA_LAMP_RADIANCE / area
         row[15:17] = widths
         row[17] = area
+        intensity = mean * AREA_LAMP_RADIANCE
         half_spread = max(light.spread, SMALLEST_SPREAD) / 2.0
         # At pi the tangent is without bound, and nothing fades.
         if half_spread < np.pi / 2.0 - 1e-4:
             row[18] = np.tan(half_spread)
             row[19] = 1.0 / (row[18] - half_spread)
+            intensity *= row[18] * row[19]
     if light.kind == LightKind.SPOT:
         cos_half = np.cos(light.spot_angle / 2.0)
         row[18] = cos_half
         row[19] = 1.0 / max(1e-3, (1.0 - cos_half) * light.spot_blend)
-    return row, float(weight)
+    return row, intensity
 
 
 @dataclass
@@ -306,17 +346,17 @@ def _has_area(corners: np.ndarray) -> np.ndarray:
 
 def _triangle_rows(vertex: np.ndarray, radiance: np.ndarray, mean: np.ndarray, visibility: np.ndarray) -> _Rows:
     """vertex: [n, 3, 3]. mean: [n], of the radiance. Triangles that a transform makes too large or small for
-    numbers have no weight."""
+    numbers have no intensity."""
     rows = np.zeros((len(vertex), 24))
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         edge1, edge2 = vertex[:, 1] - vertex[:, 0], vertex[:, 2] - vertex[:, 0]
         normal = np.cross(edge1, edge2)
         length = np.linalg.norm(normal, axis=1)
-        weight = mean * (length / 2.0) * np.pi
+        intensity = mean * (length / 2.0)
         rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = vertex[:, 0], edge1, edge2
         rows[:, 9:12] = normal / length[:, None]
         rows[:, 12:15] = radiance
         rows[:, 17] = length / 2.0
-    solid = (weight > 0.0) & (weight < np.inf)
+    solid = (intensity > 0.0) & (intensity < np.inf)
     rows[~solid] = 0.0
-    return _Rows(np.full(len(rows), TRIANGLE, dtype=np.int32), rows, visibility, np.where(solid, weight, 0.0))
+    return _Rows(np.full(len(rows), TRIANGLE, dtype=np.int32), rows, visibility, np.where(solid, intensity, 0.0))

@@ -15,7 +15,6 @@ import numpy as np
 
 from .effects import Effects, find_effects
 from .flat_lights import ENVIRONMENT, Emission, flatten_lights
-from .light_tree import SMALLEST_TREE
 from .scene import (
     MATERIAL_INPUTS,
     Camera,
@@ -94,8 +93,6 @@ _LIGHT_ARRAYS = (
     "light_kind",
     "light_data",
     "light_visibility",
-    "light_probability",
-    "light_cdf",
     "light_tree",
     "light_of_leaf",
     "emitter",
@@ -137,17 +134,19 @@ class FlatScene:
     int32 [L] (LightKind, TRIANGLE or ENVIRONMENT), light_visibility uint8 [L], light_data [L, 24]:
 
     - 0:3 position; TRIANGLE: vertex 0
-    - 3:6, 6:9, 9:12 unit axes X, Y, Z, the lamp shines along -Z; TRIANGLE: the edges v1 - v0, v2 - v0, the unit normal
+    - 3:6, 6:9, 9:12 unit axes X, Y, Z, the lamp shines along -Z; TRIANGLE: the edges v1 - v0, v2 - v0, the unit normal;
+      ENVIRONMENT: 9:12 the mean direction of what is sampled of it, of length 1 or less
     - 12:15 radiance; without size: intensity in W / sr, of a sun irradiance in W / m^2
     - 15:17 POINT, SPOT: radius, 0; SUN: sine and cosine of half the angle; area lamps: full widths
     - 17 area of area lamps and triangles
     - 18, 19 SPOT: cosine of half the angle, 1 / width of the blend in cosine; area lamps: tangent of half the spread,
       1 / (tangent - angle), 0 without one
-    - 20 whether without size, 21:23 zero, 23 soft falloff
+    - 20 whether without size, 23 soft falloff
+    - 21, 22 for choosing it, SUN, ENVIRONMENT: the least share of its irradiance that surfaces count with however they
+      face, and that irradiance, in the light tree's unit; others: 0, and the share of its leaf
 
-    light_cdf has one interval for each light, or, where there is a light tree, one for each sun and the environment and
-    the last for the tree. light_probability [L]: that of the light's interval. light_tree [2^(depth + 1) - 1, 12] and
-    light_of_leaf int32 [2^depth]: see svgf.light_tree; empty without one.
+    light_tree [2^(depth + 1) - 1, 12] and light_of_leaf int32 [2^depth]: see svgf.light_tree, of all lights but those
+    two kinds. A leaf is one light, or that one and the next: two triangles of a flat quad.
 
     The light of a triangle: emitter int32 [N] is the row of an instance in emitters int32 [E, 2], or -1; its light is
     emitters[e, 0] + light_of_triangle[emitters[e, 1] + triangle] (int32), where that last number is not -1.
@@ -197,8 +196,6 @@ class FlatScene:
     light_kind: np.ndarray
     light_data: np.ndarray
     light_visibility: np.ndarray
-    light_probability: np.ndarray
-    light_cdf: np.ndarray
     light_tree: np.ndarray
     light_of_leaf: np.ndarray
     emitter: np.ndarray
@@ -214,11 +211,10 @@ class FlatScene:
         return int(found[0]) if len(found) else -1
 
 
-def flatten(scene: Scene, previous: FlatScene | None = None, smallest_light_tree: int = SMALLEST_TREE) -> FlatScene:
+def flatten(scene: Scene, previous: FlatScene | None = None) -> FlatScene:
     """Flatten one frame. Arrays that would come out the same are ``previous``' own (``is``), so that a caller can tell
     what changed.
 
-    smallest_light_tree: fewer lights than these, of those that have a place, are chosen by their power alone.
     Instances that cannot be inverted (a scale of zero, a NaN) are left out, with a warning.
     """
     same_meshes = previous is not None and _same_items(scene.meshes, previous.meshes)
@@ -244,16 +240,13 @@ def flatten(scene: Scene, previous: FlatScene | None = None, smallest_light_tree
     else:
         emission = materials[:, MATERIAL_COLUMNS["light_emission"] :][:, :3]
         emission = Emission(*_with_emission_maps(scene.materials, emission))
-        light_arrays = flatten_lights(scene, instance_arrays, emission, origin, extent, smallest_light_tree)
-    effects = find_effects(scene)
-    if len(light_arrays["light_tree"]):
-        effects |= Effects.MANY_LIGHTS
+        light_arrays = flatten_lights(scene, instance_arrays, emission, origin)
 
     return FlatScene(
         scene=scene,
         origin=origin,
         extent=extent,
-        effects=effects,
+        effects=find_effects(scene),
         warnings=(*scene.warnings, *warnings),
         meshes=tuple(scene.meshes),
         mesh_bounds=mesh_bounds,

@@ -12,22 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# With fewer lights than this their power alone chooses as well, and cheaper.
-SMALLEST_TREE = 16
-
 
 @dataclass
 class LightBounds:
     """Rows of lights or nodes. low, high: [n, 3] box. axis: [n, 3] unit, where they shine to; two_sided: and to the
     opposite. cos_normals: [n], cosine of the half angle of the cone of their normals. cos_emission: [n], of the angle
-    from a normal within which they shine. power: [n], 0 for none."""
+    from a normal within which they shine. intensity: [n], W / sr along the axis, 0 for none."""
 
     low: np.ndarray
     high: np.ndarray
     axis: np.ndarray
     cos_normals: np.ndarray
     cos_emission: np.ndarray
-    power: np.ndarray
+    intensity: np.ndarray
     two_sided: np.ndarray
 
     def rows(self, chosen: np.ndarray) -> LightBounds:
@@ -36,16 +33,18 @@ class LightBounds:
 
 def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [2^(depth + 1) - 1, 12] (the children of node i are 2 i + 1 and 2 i + 2) and the light of each leaf, int32
-    [2^depth], -1 for none.
+    [2^depth], -1 for none. Both are empty without lights.
 
-    Columns: low 0:3, high 3:6, axis 6:9, cos_normals 9, cos_emission 10, power 11, which is negative where the lights
+    Columns: low 0:3, high 3:6, axis 6:9, cos_normals 9, cos_emission 10, intensity 11, which is negative where the lights
     shine both ways.
     """
-    count = len(bounds.power)
-    depth = int(np.ceil(np.log2(max(count, 1))))
+    count = len(bounds.intensity)
+    if not count:
+        return np.zeros((0, 12)), np.zeros(0, dtype=np.int32)
+    depth = int(np.ceil(np.log2(count)))
     leaves = _order(bounds, depth)
     level = bounds.rows(np.maximum(leaves, 0))
-    level.power = np.where(leaves >= 0, level.power, 0.0)
+    level.intensity = np.where(leaves >= 0, level.intensity, 0.0)
     levels = [level]
     for _ in range(depth):
         levels.insert(0, _union(levels[0].rows(slice(0, None, 2)), levels[0].rows(slice(1, None, 2))))
@@ -53,7 +52,7 @@ def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
     nodes = np.concatenate([
         np.column_stack([
             level.low, level.high, level.axis, level.cos_normals, level.cos_emission,
-            np.where(level.two_sided, -level.power, level.power),
+            np.where(level.two_sided, -level.intensity, level.intensity),
         ])
         for level in levels
     ])  # fmt: skip
@@ -63,7 +62,7 @@ def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
 def _order(bounds: LightBounds, depth: int) -> np.ndarray:
     """[2^depth], the light of each leaf, -1 where there are more leaves than lights."""
     order = np.full(1 << depth, -1, dtype=np.int64)
-    order[: len(bounds.power)] = np.arange(len(bounds.power))
+    order[: len(bounds.intensity)] = np.arange(len(bounds.intensity))
     centre = (bounds.low + bounds.high) / 2.0
     order = order[None]
     for _ in range(depth):
@@ -79,8 +78,8 @@ def _order(bounds: LightBounds, depth: int) -> np.ndarray:
 
 
 def _union(a: LightBounds, b: LightBounds) -> LightBounds:
-    """Row by row. What has no power counts for nothing."""
-    only_a, only_b = b.power <= 0.0, (a.power <= 0.0) & (b.power > 0.0)
+    """Row by row. What has no intensity counts for nothing."""
+    only_a, only_b = b.intensity <= 0.0, (a.intensity <= 0.0) & (b.intensity > 0.0)
     two_sided = a.two_sided | b.two_sided
     cosine = np.einsum("ni,ni->n", a.axis, b.axis)
     # Lights that shine both ways point either way.
@@ -104,7 +103,7 @@ def _union(a: LightBounds, b: LightBounds) -> LightBounds:
         axis=pick(axis, a.axis, b.axis),
         cos_normals=pick(np.cos(half), a.cos_normals, b.cos_normals),
         cos_emission=pick(np.minimum(a.cos_emission, b.cos_emission), a.cos_emission, b.cos_emission),
-        power=a.power + b.power,
+        intensity=a.intensity + b.intensity,
         two_sided=pick(two_sided, a.two_sided, b.two_sided),
     )
 

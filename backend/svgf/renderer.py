@@ -138,8 +138,8 @@ INSTANCE_FIELDS = (
 )  # fmt: skip
 MATERIAL_FIELDS = ("materials", "material_maps")
 LIGHT_FIELDS = (
-    "light_kind", "light_data", "light_visibility", "light_probability", "light_cdf", "light_tree", "light_of_leaf",
-    "emitters", "light_of_triangle", "emission_map", "emission_maps",
+    "light_kind", "light_data", "light_visibility", "light_tree", "light_of_leaf", "emitters", "light_of_triangle",
+    "emission_map", "emission_maps",
 )  # fmt: skip
 WORLD_FIELDS = (
     "world_radiance", "world_visibility", "environment", "environment_light", "world_to_environment", "row_cdf",

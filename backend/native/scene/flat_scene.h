@@ -163,8 +163,7 @@ struct alignas(16) Light {
     float area;
     float cos_half_spot, spot_scale;  // area lamps: tangent of half the spread, and the scale of its fading
     float is_delta;
-    float unused;
-    float probability;
+    float ambient, weight;  // suns, the environment: see estimate_irradiance(); others: 0, their share of their leaf
     float soft_falloff;  // point, spot: 1 for a disk that faces the point it lights, 0 for a sphere
     LightKind kind;
     std::uint32_t visibility;  // bits of ray_kind
@@ -191,7 +190,7 @@ struct alignas(16) LightNode {
     Vec3 axis;          // of the cone of all normals
     float cos_normals;  // of the cone's half angle
     float cos_emission;  // of the angle from a normal within which a light shines
-    float power;        // negative: the lights shine on both sides of themselves
+    float intensity;    // W / sr; negative: the lights shine on both sides of themselves
 };
 static_assert(sizeof(LightNode) == 12 * sizeof(float));
 
@@ -213,13 +212,13 @@ struct LightsView {
     std::int32_t count = 0;
     std::int32_t lamp_count = 0;            // all that are no triangles
     std::uint32_t sized_lamps_seen_by = 0;  // kinds of rays that can run into a lamp
-    // [interval_count + 1]: one interval for each light, or, where there is a tree, for each that is not in it, and the
-    // last one for the tree.
-    const float* cdf = nullptr;
-    std::int32_t interval_count = 0;
-    // The light tree: a complete binary one, the children of node i are 2 i + 1 and 2 i + 2. Null: there is none.
+    std::int32_t everywhere_count = 0;      // suns and the environment
+    std::int32_t choices = 0;               // lights that may be chosen
+    std::int32_t only = -1;                 // the one that is, where there is no other
+    // The light tree of those that are somewhere: a complete binary one, the children of node i are 2 i + 1 and
+    // 2 i + 2. Null: there are none.
     const LightNode* nodes = nullptr;
-    const std::int32_t* light_of_leaf = nullptr;
+    const std::int32_t* light_of_leaf = nullptr;  // where its share is not all, the leaf is the next light's too
     std::int32_t tree_depth = 0;  // 2^depth leaves
     const Emitter* emitters = nullptr;
     const std::int32_t* light_of_triangle = nullptr;

@@ -78,6 +78,13 @@ public:
     SVGF_HD Bsdf(const SceneView& scene, const Surface& surface, Vec3 view)
         : Bsdf(scene.albedo_tables, surface, view, orient<kernel>(surface, view)) {}
 
+    // For choosing lights: 0 where light comes through the surface, from either side.
+    SVGF_HD Vec3 lit_normal() const {
+        if constexpr (has_transmission)
+            if (transmits_diffuse_ || glass_probability_ > 0.0f) return {};
+        return normal;
+    }
+
     // side: > 0 where light comes from the viewer's side of the surface, < 0 from the other one.
     SVGF_HD BsdfValue evaluate(Vec3 light, float side) const {
         return evaluate_local(frame_.to_local(light), side, light);

@@ -1,10 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Choosing one of many lights by what they are likely to contribute at a point: a walk down the light tree [Conty18],
-// which at each node goes to one of the two children with probabilities proportional to their importance. The same walk
-// towards a given light tells the probability of choosing it, for light that rays run into.
+// Choosing one of several lights by what each is likely to contribute at a point. Lights that are everywhere (suns, the
+// environment) and the nodes of one level of the light tree [Conty18] stand beside each other, each with an estimate of
+// the irradiance that it brings. From a node a walk goes down the tree, each time to one of the two children, with
+// probabilities proportional to the same estimate. The probability of choosing a given light, for light that rays run
+// into, comes of the same steps.
 //
 // Departures: the tree is a complete binary one, split in halves by count, so that the way to a light is the binary
-// number of its leaf and needs no memory. Importance counts the cosine at the receiver, as pbrt-v4 does.
+// number of its leaf and needs no memory. Importance counts the cosine at the receiver, as pbrt-v4 does. The choice
+// starts among several nodes instead of at the root, whose box says little about a few lights far apart: up to eight
+// lights are all weighed on their own. Two triangles of a flat quad are one leaf, as their boxes tell little apart.
+//
+// Before, fewer than 16 lights were chosen by their power, and suns and the environment always.
 #pragma once
 
 #include "core/load.h"
@@ -30,49 +36,105 @@ SVGF_HD inline Angle operator-(Angle a, Angle b) {
     return {a.cosine * b.cosine + a.sine * b.sine, a.sine * b.cosine - a.cosine * b.sine};
 }
 
-// A bound of what the lights of a node contribute at a point, up to a factor [Conty18, Eq. 3]. normal: of the
-// receiver, both of whose sides may be lit. Where it is 0, nothing arrives.
+// Light from below the horizon counts as if it came at this cosine: a coat may have a normal of its own.
+constexpr float least_cos_receiver = 0.02f;
+
+// Of the receiver; its normal is Bsdf::lit_normal() in all that follows.
+SVGF_HD inline bool faces_one_way(Vec3 normal) { return max_component(abs(normal)) > 0.0f; }
+
+// An estimate of the irradiance of the lights of a node at a point [Conty18, Eq. 3]. Where it is 0, nothing arrives.
 SVGF_HD inline float light_importance(const LightNode& node, Vec3 point, Vec3 normal) {
     const Vec3 extent = (node.high - node.low) * 0.5f;
     const Vec3 from_point = node.low + extent - point;
     const float distance_squared = dot(from_point, from_point), radius_squared = dot(extent, extent);
     // Close to the box its lights are as good as anywhere in it.
-    const float falloff = std::fabs(node.power) / max(max(distance_squared, radius_squared), 1e-30f);
+    const float falloff = std::fabs(node.intensity) / max(max(distance_squared, radius_squared), 1e-30f);
     if (distance_squared <= radius_squared) return falloff;
     const Vec3 direction = from_point / std::sqrt(distance_squared);
     // The box is seen under at most twice this angle; a little more, for the roundings.
     const float sin_box = min(1.0f, std::sqrt(radius_squared / distance_squared) * 1.001f + 1e-3f);
     const Angle box{std::sqrt((1.0f - sin_box) * (1.0f + sin_box)), sin_box};
-    Angle axis = angle_between(node.axis, -direction), receiver = angle_between(normal, direction);
-    if (node.power < 0.0f) axis.cosine = std::fabs(axis.cosine);
-    receiver.cosine = std::fabs(receiver.cosine);
+    Angle axis = angle_between(node.axis, -direction);
+    if (node.intensity < 0.0f) axis.cosine = std::fabs(axis.cosine);
     const float cos_light = (axis - angle_of(node.cos_normals) - box).cosine;
     if (!(cos_light > node.cos_emission)) return 0.0f;
-    return falloff * max(cos_light, 0.0f) * (receiver - box).cosine;
+    const float weight = falloff * max(cos_light, 0.0f);
+    if (!faces_one_way(normal)) return weight;
+    return weight * max((angle_between(normal, direction) - box).cosine, least_cos_receiver);
 }
 
-// Walks to the leaf that u chooses, or to `leaf` where that is >= 0, and sets it. Returns the probability of getting
-// there; 0: no light of the tree reaches the point. The first steps use up u.x, the others u.y.
-SVGF_HD SVGF_NOINLINE inline float walk_light_tree(const LightsView& lights, Vec3 point, Vec3 normal, Vec2 u,
-                                                   std::int32_t& leaf) {
-    constexpr int steps_of_first = 8;
-    std::int32_t node = 0;
-    float probability = 1.0f;
-    for (int level = 0; level < lights.tree_depth; ++level) {
+// The same of a sun or the environment, which is taken for a sun and for light from all around.
+SVGF_HD inline float estimate_irradiance(const Light& light, Vec3 normal) {
+    const float facing = faces_one_way(normal) ? max(dot(light.axis_z, normal), 0.0f) : 1.0f;
+    return light.weight * min(facing + light.ambient, 1.0f);
+}
+
+// Finds the light that u chooses, or, where `light` is >= 0, only the probability with which it would be chosen, which
+// is returned; 0: none reaches the point. The first steps use up u.x, the others u.y.
+SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, Vec3 point, Vec3 normal, Vec2 u,
+                                                     std::int32_t& light) {
+    constexpr int start_level = 3, steps_of_first = 8;
+    constexpr float below_one = 0x1.fffffep-1f;
+    const int everywhere = lights.everywhere_count, depth = lights.tree_depth;
+    int level = min(depth, start_level);
+    const int first_node = (1 << level) - 1, count = lights.nodes ? 1 << level : 0;
+    float node_importance[1 << start_level], total = 0.0f;
+    for (int i = 0; i < everywhere; ++i) total += estimate_irradiance(lights.rows[i], normal);
+    for (int i = 0; i < count; ++i) {
+        // With nothing beside it there is nothing to weigh.
+        node_importance[i] =
+            everywhere + count > 1 ? light_importance(load(lights.nodes + first_node + i), point, normal) : 1.0f;
+        total += node_importance[i];
+    }
+    const auto importance = [&](int i) {
+        return i < everywhere ? estimate_irradiance(lights.rows[i], normal) : node_importance[i - everywhere];
+    };
+
+    const bool is_given = light >= 0;
+    const int leaf = is_given ? lights.rows[light].leaf : -1;
+    int start = -1;  // of the lights that are everywhere, and the nodes after them
+    float probability = 0.0f;
+    if (is_given) {
+        start = light < everywhere ? light : leaf >= 0 ? everywhere + (leaf >> (depth - level)) : -1;
+        if (start >= 0) probability = importance(start);
+    } else {
+        float place = u.x * total;
+        for (int i = 0; i < everywhere + count; ++i) {
+            const float width = importance(i);
+            if (!(width > 0.0f)) continue;
+            start = i;
+            probability = width;
+            if (place < width) break;
+            place -= width;
+        }
+        u.x = min(place / probability, below_one);
+    }
+    if (!(probability > 0.0f)) return 0.0f;
+    probability /= total;
+    if (start < everywhere) {
+        light = start;
+        return probability;
+    }
+    std::int32_t node = first_node + start - everywhere;
+    for (; level < depth; ++level) {
         const float left = light_importance(load(lights.nodes + 2 * node + 1), point, normal);
         const float right = light_importance(load(lights.nodes + 2 * node + 2), point, normal);
         const float sum = left + right;
         if (!(sum > 0.0f)) return 0.0f;
         const float left_share = left / sum;
         float& number = level < steps_of_first ? u.x : u.y;
-        const bool goes_left = leaf >= 0 ? ((leaf >> (lights.tree_depth - 1 - level)) & 1) == 0 : number < left_share;
+        const bool goes_left = is_given ? ((leaf >> (depth - 1 - level)) & 1) == 0 : number < left_share;
         const float share = goes_left ? left_share : 1.0f - left_share;
-        number = min((goes_left ? number : number - left_share) / share, 0x1.fffffep-1f);
+        number = min((goes_left ? number : number - left_share) / share, below_one);
         probability *= share;
         node = 2 * node + (goes_left ? 1 : 2);
     }
-    leaf = node - ((1 << lights.tree_depth) - 1);
-    return probability;
+    if (!is_given) {
+        light = lights.light_of_leaf[node - ((1 << depth) - 1)];
+        if (light < 0) return 0.0f;
+        if (!((depth < steps_of_first ? u.x : u.y) < lights.rows[light].weight)) ++light;
+    }
+    return probability * lights.rows[light].weight;
 }
 
 }  // namespace svgf

@@ -34,32 +34,29 @@ struct LightChoice {
     float probability = 0;
 };
 
-// One light for a point. normal: of the receiver.
+// One light for a point. normal: Bsdf::lit_normal() of the receiver.
 template <Effects kernel>
 SVGF_HD LightChoice choose_light(const LightsView& lights, Vec3 point, Vec3 normal, Vec2 u) {
-    const int interval = choose_interval(lights.cdf, lights.interval_count, u.x);
     if constexpr (covers(kernel, Effects::many_lights)) {
-        if (lights.nodes && interval == lights.interval_count - 1) {
-            std::int32_t leaf = -1;
-            const float chance = walk_light_tree(lights, point, normal, u, leaf);
-            if (!(chance > 0.0f) || lights.light_of_leaf[leaf] < 0) return {};
-            const std::int32_t index = lights.light_of_leaf[leaf];
-            return {index, chance * lights.rows[index].probability};
+        if (lights.choices > 1) {
+            LightChoice choice;
+            choice.probability = find_light_choice(lights, point, normal, u, choice.index);
+            return choice;
         }
     }
-    return {interval, lights.rows[interval].probability};
+    return {lights.only, 1.0f};
 }
 
 // The probability with which choose_light would have chosen a light.
 template <Effects kernel>
 SVGF_HD float choice_probability(const LightsView& lights, const Light& light, Vec3 point, Vec3 normal) {
     if constexpr (covers(kernel, Effects::many_lights)) {
-        if (light.leaf >= 0) {
-            std::int32_t leaf = light.leaf;
-            return light.probability * walk_light_tree(lights, point, normal, {}, leaf);
+        if (lights.choices > 1) {
+            std::int32_t index = std::int32_t(&light - lights.rows);
+            return find_light_choice(lights, point, normal, {}, index);
         }
     }
-    return light.probability;
+    return &light == lights.rows + lights.only ? 1.0f : 0.0f;
 }
 
 // 1 - cosine of half the angle under which a sphere is seen; from within 2, all directions. Without the difference.

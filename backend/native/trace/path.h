@@ -40,7 +40,7 @@ struct Path {
     Ray ray;
     Vec3 throughput{1, 1, 1};
     Vec3 diffuse_share{1, 1, 1};    // of all light found after the first vertex
-    Vec3 normal;                    // of the vertex that the ray left
+    Vec3 normal;                    // Bsdf::lit_normal() of the vertex that the ray left
     float pdf = 0;                  // of the BSDF sample that the ray follows
     float smallest_pdf = infinity;  // of those so far
     int bounces = 0, diffuse_bounces = 0, glossy_bounces = 0, transmission_bounces = 0;
@@ -143,7 +143,7 @@ struct PathVertices {
         if constexpr (has_limits) simplify(path, surface.material);
         const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
         seen.surface(path, surface, hit, bsdf);
-        if (scene.lights.interval_count > 0) find_direct_light(numbers, path, surface, hit, bsdf, shadow);
+        if (scene.lights.choices > 0) find_direct_light(numbers, path, surface, hit, bsdf, shadow);
 
         BsdfSample next = bsdf.sample(numbers.pair(SamplePair::direction), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
@@ -151,7 +151,7 @@ struct PathVertices {
         path.throughput *= next.weight.total();
         if (!(max_component(path.throughput) > 0.0f) || !is_finite(path.throughput)) return false;
         count_bounce(path, next);
-        path.normal = bsdf.normal;
+        path.normal = bsdf.lit_normal();
         ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, kind_of(next.event)};
         return !(path.ends && find_last_ray(path, last));
     }
@@ -340,8 +340,9 @@ private:
         if constexpr (covers(kernel, Effects::environment_map)) {
             const std::int32_t row = scene.world.light;
             return found_light(path, environment_radiance(scene, path.ray.direction, is_backdrop), [&] {
-                return row < 0 ? 0.0f
-                               : scene.lights.rows[row].probability * environment_density(scene.world, path.ray.direction);
+                if (row < 0) return 0.0f;
+                return environment_density(scene.world, path.ray.direction) *
+                       choice_probability<kernel>(scene.lights, scene.lights.rows[row], path.ray.origin, path.normal);
             });
         }
         return path.throughput * (is_backdrop ? scene.world.backdrop_radiance : scene.world.radiance);
@@ -365,7 +366,7 @@ private:
 
     SVGF_HD void find_direct_light(const VertexSampler& numbers, const Path& path, const Surface& surface,
                                    const Hit& hit, const Bsdf<kernel>& bsdf, ShadowRay& shadow) const {
-        const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.normal,
+        const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.lit_normal(),
                                                         numbers.pair(SamplePair::light));
         if (choice.index < 0) return;
         const Light& row = scene.lights.rows[choice.index];

@@ -62,8 +62,6 @@ public:
         std::span<const std::int32_t> kind;               // [L]
         std::span<const float> data;                      // [L, 24]
         std::span<const std::uint8_t> visibility;         // [L]
-        std::span<const float> probability;               // [L]
-        std::span<const float> cdf;                       // [intervals + 1]; may be empty if there is none
         std::span<const float> tree;                      // [2^(depth + 1) - 1, 12], or empty
         std::span<const std::int32_t> light_of_leaf;      // [2^depth]
         std::span<const std::int32_t> emitters;           // [E, 2]
@@ -165,7 +163,6 @@ private:
     Buffer<TextureView> texture_views_;
     Buffer<float> albedo_tables_;
     Buffer<Light> lights_;
-    Buffer<float> light_cdf_;
     Buffer<LightNode> light_tree_;
     Buffer<std::int32_t> light_of_leaf_;
     Buffer<Emitter> emitters_;

@@ -296,9 +296,8 @@ void Tracer::set_albedo_tables(std::span<const float> tables) {
 
 void Tracer::set_lights(const Lights& arrays) {
     const std::size_t count = arrays.kind.size();
-    expect(arrays.data.size() == 24 * count && arrays.probability.size() == count &&
-               arrays.visibility.size() == count && arrays.emission_map.size() == count,
-           "Each light needs 24 values, a probability, a visibility and an emission map.");
+    expect(arrays.data.size() == 24 * count && arrays.visibility.size() == count && arrays.emission_map.size() == count,
+           "Each light needs 24 values, a visibility and an emission map.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 lights.");
     const std::size_t leaves = arrays.light_of_leaf.size(), maps = arrays.emission_maps.size() / 8;
     expect(leaves == 0 ? arrays.tree.empty() : arrays.tree.size() == 12 * (2 * leaves - 1) && !(leaves & (leaves - 1)),
@@ -311,7 +310,6 @@ void Tracer::set_lights(const Lights& arrays) {
         std::memcpy(static_cast<void*>(&light), arrays.data.data() + 24 * i, 24 * sizeof(float));
         light.kind = LightKind(arrays.kind[i]);
         light.visibility = arrays.visibility[i];
-        light.probability = arrays.probability[i];
         light.emission_map = arrays.emission_map[i];
         light.leaf = -1;
         light.radiance = cleaned_color(light.radiance);
@@ -322,12 +320,24 @@ void Tracer::set_lights(const Lights& arrays) {
         expect(std::size_t(view.lamp_count) == i, "Lamps must come before triangles.");
         ++view.lamp_count;
         if (light.is_delta == 0.0f && light.kind != LightKind::environment) view.sized_lamps_seen_by |= light.visibility;
+        if (light.kind != LightKind::sun && light.kind != LightKind::environment) continue;
+        expect(std::size_t(view.everywhere_count) == i, "Suns and the environment must come before other lights.");
+        ++view.everywhere_count;
     }
+    if (view.everywhere_count > 0) view.only = 0;
+    view.choices = view.everywhere_count;
     for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
         const std::int32_t light = arrays.light_of_leaf[leaf];
         expect(light >= -1 && light < std::int32_t(count), "The light tree names a light that is not there.");
-        if (light >= 0) lights[std::size_t(light)].leaf = std::int32_t(leaf);
+        if (light < 0) continue;
+        const bool is_pair = lights[std::size_t(light)].weight < 1.0f;
+        expect(!is_pair || std::size_t(light) + 1 < count, "A leaf of the light tree lacks its second light.");
+        lights[std::size_t(light)].leaf = std::int32_t(leaf);
+        if (is_pair) lights[std::size_t(light) + 1].leaf = std::int32_t(leaf);
+        view.only = light;
+        view.choices += is_pair ? 2 : 1;
     }
+    if (view.choices > 1) view.only = -1;
     std::vector<Emitter> emitters(arrays.emitters.size() / 2);
     for (std::size_t i = 0; i < emitters.size(); ++i) {
         emitters[i] = {arrays.emitters[2 * i], arrays.emitters[2 * i + 1]};
@@ -341,7 +351,6 @@ void Tracer::set_lights(const Lights& arrays) {
         largest_texture_ = std::max(largest_texture_, emission_maps[i].texture);
     }
     lights_ = Buffer<Light>(device_, std::span<const Light>(lights), "lights");
-    light_cdf_ = Buffer<float>(device_, arrays.cdf, "lights");
     const std::vector<LightNode> nodes = rows_of<LightNode>(arrays.tree);
     light_tree_ = Buffer<LightNode>(device_, std::span<const LightNode>(nodes), "the light tree");
     light_of_leaf_ = Buffer<std::int32_t>(device_, arrays.light_of_leaf, "the light tree");
@@ -350,15 +359,12 @@ void Tracer::set_lights(const Lights& arrays) {
     emission_maps_ = Buffer<EmissionMap>(device_, std::span<const EmissionMap>(emission_maps), "lights");
     view.rows = lights_.data();
     view.count = std::int32_t(count);
-    view.cdf = light_cdf_.data();
-    view.interval_count = std::max(std::int32_t(arrays.cdf.size()) - 1, 0);
     view.nodes = leaves ? light_tree_.data() : nullptr;
     view.light_of_leaf = light_of_leaf_.data();
     for (std::size_t n = leaves; n > 1; n /= 2) ++view.tree_depth;
     view.emitters = emitters_.data();
     view.light_of_triangle = light_of_triangle_.data();
     view.emission_maps = emission_maps_.data();
-    expect(std::size_t(view.interval_count) <= count + (leaves ? 1 : 0), "The lights' cdf has too many intervals.");
     scene_.lights = view;
 }
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,6 @@ from ..devices import Device
 from ..effects import Effects
 from ..flatten import flatten
 from ..light_paths import LightPaths
-from ..light_tree import SMALLEST_TREE
 from ..renderer import SceneUploader
 from ..scene import Aperture, Camera, LightKind, Material, MaterialKind, RayVisibility, Scene, World
 
@@ -52,14 +50,15 @@ def measure(
     rows = []
     for effect in Effects:
         if effect in effects:
-            rows.append(_compare(name, effect.name, whole, _run_without(effect, device, scene, size, bounces), count))
+            without = _Run(device, WITHOUT[effect](scene), size, bounces)
+            rows.append(_compare(name, effect.name, whole, without, count))
     full = _Run(device, scene, size, bounces, kernel=device.kernels[-1])
     rows.append(_compare(name, FULL_KERNEL, full, whole, count))
     return rows
 
 
 class _Run:
-    """One way to trace a scene. smallest_light_tree: see ``flatten``."""
+    """One way to trace a scene."""
 
     def __init__(
         self,
@@ -68,9 +67,8 @@ class _Run:
         size: tuple[int, int],
         bounces: int,
         kernel: Effects = Effects.NONE,
-        smallest_light_tree: int = SMALLEST_TREE,
     ) -> None:
-        flat = flatten(scene, smallest_light_tree=smallest_light_tree)
+        flat = flatten(scene)
         self._device = device
         self._tracer = device.tracer()
         SceneUploader(device, self._tracer).upload(flat)
@@ -94,12 +92,6 @@ class _Run:
     def milliseconds(self, sample: int) -> float:
         self._tracer.trace(sample=sample, **self._arguments)
         return sum(self._device.take_timings().values())
-
-
-def _run_without(effect: Effects, device: Device, scene: Scene, size: tuple[int, int], bounces: int) -> _Run:
-    if effect is Effects.MANY_LIGHTS:
-        return _Run(device, scene, size, bounces, smallest_light_tree=sys.maxsize)
-    return _Run(device, WITHOUT[effect](scene), size, bounces)
 
 
 def _compare(scene: str, what: str, on: _Run, off: _Run, count: int) -> EffectCost:
@@ -179,7 +171,13 @@ def _without_light_path_limits(scene: Scene) -> Scene:
     return dataclasses.replace(scene, defaults=dataclasses.replace(scene.defaults, light_paths=limits))
 
 
-# Of every effect but MANY_LIGHTS, which is a way to choose among lights and no part of the scene.
+def _with_one_light(scene: Scene) -> Scene:
+    """Of lamps the one of the most power; without lamps it is dark."""
+    lights = sorted(scene.lights, key=lambda light: max(light.power))[-1:]
+    world = dataclasses.replace(scene.world, environment=-1)
+    return dataclasses.replace(_materials(scene, emission=(0.0, 0.0, 0.0)), lights=tuple(lights), world=world)
+
+
 def _without_perfect_specular(scene: Scene) -> Scene:
     """Mirrors and glass with the least roughness that scatters."""
 
@@ -224,6 +222,7 @@ WITHOUT: dict[Effects, Callable[[Scene], Scene]] = {
     Effects.DEPTH_OF_FIELD: _without_depth_of_field,
     Effects.RAY_VISIBILITY: _seen_by_all,
     Effects.LIGHT_PATH_LIMITS: _without_light_path_limits,
+    Effects.MANY_LIGHTS: _with_one_light,
     Effects.CAMERA_MOTION: lambda scene: dataclasses.replace(scene, previous_camera=scene.camera),
     Effects.OBJECT_MOTION: _without_object_motion,
     Effects.DEFORMATION: _without_deformation,

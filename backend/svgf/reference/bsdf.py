@@ -94,6 +94,12 @@ class Bsdf:
         return self.z
 
     @property
+    def lit_normal(self) -> np.ndarray:
+        """For choosing lights: N, 0 where light comes through the surface, from either side."""
+        transmits = self.transmits_diffuse | (self.probability[:, 4] > 0.0)
+        return np.where(transmits[:, None], 0.0, self.z)
+
+    @property
     def smooth(self) -> np.ndarray:
         """bool [n]: lobe S is a mirror."""
         return self.alpha.max(axis=1) < SMOOTH_ALPHA

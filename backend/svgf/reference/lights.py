@@ -15,8 +15,8 @@ import numpy as np
 
 from ..flat_lights import ENVIRONMENT, TRIANGLE
 from ..scene import LightKind, RayVisibility
-from .environment import World, choose_interval
-from .light_tree import walk_light_tree
+from .environment import World
+from .light_tree import choose_start, start_importance, start_level, tree_depth, walk_light_tree
 from .sampling import concentric_disk, cone, to_world, triangle_barycentrics
 from .vec import dot, normalize
 
@@ -44,8 +44,6 @@ class Lights:
         light_kind=(),
         light_data=(),
         light_visibility=None,
-        light_probability=(),
-        light_cdf=(0.0,),
         light_tree=np.zeros((0, 12)),
         light_of_leaf=(),
         emitters=np.zeros((0, 2)),
@@ -63,14 +61,15 @@ class Lights:
         self.soft_falloff = data[:, 23] != 0.0
         every_ray = np.full(len(data), int(RayVisibility.ALL))
         self.visibility = every_ray if light_visibility is None else np.asarray(light_visibility, dtype=np.int64)
-        self.probability = np.asarray(light_probability, dtype=np.float64)
-        # Native devices hold float32; the same numbers here choose the same lights.
-        self.cdf = np.asarray(light_cdf, dtype=np.float32).astype(np.float64)
+        self.ambient, self.weight = data[:, 21], data[:, 22]
+        self.everywhere = int(np.isin(self.kind, (LightKind.SUN, ENVIRONMENT)).sum())
         self.tree = np.asarray(light_tree, dtype=np.float64).reshape(-1, 12)
         self.light_of_leaf = np.asarray(light_of_leaf, dtype=np.int64)
         self.leaf = np.full(len(data), -1, dtype=np.int64)
         leaves = np.flatnonzero(self.light_of_leaf >= 0)
         self.leaf[self.light_of_leaf[leaves]] = leaves
+        paired = leaves[self.weight[self.light_of_leaf[leaves]] < 1.0]
+        self.leaf[self.light_of_leaf[paired] + 1] = paired
         self.emitters = np.asarray(emitters, dtype=np.int64).reshape(-1, 2)
         self.light_of_triangle = np.asarray(light_of_triangle, dtype=np.int64)
         self.emission_map = np.full(len(data), -1) if emission_map is None else np.asarray(emission_map)
@@ -82,37 +81,57 @@ class Lights:
         return len(self.kind)
 
     @property
-    def intervals(self) -> int:
-        """Of the cdf; 0: there is no light to choose."""
-        return len(self.cdf) - 1
+    def choices(self) -> int:
+        """How many lights may be chosen."""
+        return self.everywhere + np.count_nonzero(self.leaf >= 0)
 
     def choose(self, u: np.ndarray, point: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A light for each point [n, 3] with the receiver's normal [n, 3], and the probability of choosing it, 0 for no
-        light. u: [n, 2]."""
-        light, place = choose_interval(self.cdf, u[:, 0])
-        probability = self.probability[np.minimum(light, len(self) - 1)]
-        rows = np.flatnonzero(light == self.intervals - 1) if len(self.tree) else np.zeros(0, dtype=np.int64)
+        """A light for each point [n, 3] with the receiver's lit normal [n, 3], and the probability of choosing it, 0
+        for no light. u: [n, 2]."""
+        start, place, chance = choose_start(self._start_importance(point, normal), u[:, 0])
+        light = start.copy()
+        rows = np.flatnonzero((start >= self.everywhere) & (chance > 0.0))
         if len(rows):
-            numbers = np.stack([place, u[:, 1]], axis=1)[rows]
-            leaf, chance = walk_light_tree(
-                self.tree, point[rows], normal[rows], numbers, np.full(len(rows), -1, dtype=np.int64)
+            numbers, none = np.column_stack([place, u[:, 1]])[rows], np.full(len(rows), -1)
+            leaf, share, number = walk_light_tree(
+                self.tree, start[rows] - self.everywhere, point[rows], normal[rows], numbers, none
             )
-            found = self.light_of_leaf[leaf]
-            light[rows] = np.maximum(found, 0)
-            probability = probability.copy()
-            probability[rows] = np.where(found >= 0, chance * self.probability[light[rows]], 0.0)
-        return light, probability
+            first = self.light_of_leaf[leaf]
+            light[rows] = np.where((first >= 0) & (number >= self.weight[first]), first + 1, first)
+            chance[rows] *= np.where(first >= 0, share * self.weight[light[rows]], 0.0)
+        return np.maximum(light, 0), chance
 
     def choice_probability(self, light: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """[n]: with which ``choose`` would have chosen lights [n]."""
-        probability = self.probability[light].copy()
-        rows = np.flatnonzero(self.leaf[light] >= 0)
+        leaf = self.leaf[light]
+        level = start_level(self.tree)
+        start = np.where(light < self.everywhere, light, self.everywhere + (leaf >> (tree_depth(self.tree) - level)))
+        importance = self._start_importance(point, normal)
+        total = importance.sum(axis=1)
+        known = (light < self.everywhere) | (leaf >= 0)
+        own = np.take_along_axis(importance, np.where(known, start, 0)[:, None], axis=1)[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            chance = np.where(known & (own > 0.0), own / total, 0.0)
+        rows = np.flatnonzero((leaf >= 0) & (chance > 0.0))
         if len(rows):
-            _, chance = walk_light_tree(
-                self.tree, point[rows], normal[rows], np.zeros((len(rows), 2)), self.leaf[light[rows]]
+            _, share, _ = walk_light_tree(
+                self.tree,
+                start[rows] - self.everywhere,
+                point[rows],
+                normal[rows],
+                np.zeros((len(rows), 2)),
+                leaf[rows],
             )
-            probability[rows] *= chance
-        return probability
+            chance[rows] *= share * self.weight[light[rows]]
+        return chance
+
+    def _start_importance(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """[n, choices]: of the lights that are everywhere, and of the nodes at which walks start."""
+        facing = np.maximum(normal @ self.axis_z[: self.everywhere].T, 0.0)
+        facing[~normal.any(axis=1)] = 1.0
+        everywhere = self.weight[: self.everywhere] * np.minimum(facing + self.ambient[: self.everywhere], 1.0)
+        importance = np.concatenate([everywhere, start_importance(self.tree, point, normal)], axis=1)
+        return importance if importance.shape[1] > 1 else np.ones_like(importance)
 
     def sample(self, light: np.ndarray, probability: np.ndarray, point: np.ndarray, uv: np.ndarray) -> LightSample:
         """A point on light [n] (indices), chosen with a probability [n], as seen from point [n, 3]."""

@@ -40,10 +40,10 @@ _KINDS = (RayVisibility.DIFFUSE, RayVisibility.GLOSSY, RayVisibility.TRANSMISSIO
 class Paths:
     """Paths that go on, one row each. pixel: where their light goes. throughput: [n, 3]. pdf, delta: of the BSDF sample
     that the ray follows, smallest_pdf: of those so far. share: [n, 3], of the light to come that belongs to the diffuse
-    signal. normal: [n, 3], where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS. ends: the ray
-    only looks for light. measures_distance: the ray left the seen surface by a specular lobe. on_chain: all bounces so
-    far lead to the surface that the pixel sees, see specular_chain.py; links: [n], those that do. transparent_bounces:
-    [n]. t_min, t_max: [n], where the ray looks."""
+    signal. normal: [n, 3], Bsdf.lit_normal where the ray started. kind: of the ray. bounces: [n, 3] of each of _KINDS.
+    ends: the ray only looks for light. measures_distance: the ray left the seen surface by a specular lobe. on_chain:
+    all bounces so far lead to the surface that the pixel sees, see specular_chain.py; links: [n], those that do.
+    transparent_bounces: [n]. t_min, t_max: [n], where the ray looks."""
 
     pixel: np.ndarray
     origin: np.ndarray
@@ -224,7 +224,7 @@ def _scatter(
     position, magnitude = surface.position, surface.magnitude
     bsdf = surface.bsdf(-paths.direction)
     allowed = _allowed_kinds(paths, limits)
-    if scene.lights.intervals:
+    if scene.lights.choices:
         _add_direct_light(
             scene, signals, keys, sample_number, limits, paths, surface, bsdf, allowed, vertex
         )
@@ -239,7 +239,7 @@ def _scatter(
     paths.throughput = paths.throughput * value
     paths.direction, paths.pdf, paths.delta, paths.kind = found.direction, found.pdf, found.delta, kind
     paths.smallest_pdf = np.minimum(paths.smallest_pdf, np.where(found.delta, np.inf, found.pdf))
-    paths.normal = bsdf.normal
+    paths.normal = bsdf.lit_normal
     paths.origin = offset_origin(position, magnitude, bsdf.geometric_normal, found.direction)
     paths.t_min = np.zeros(len(position))
     paths.t_max = np.full(len(position), np.inf)
@@ -363,7 +363,9 @@ def _add_world(scene: SceneView, signals: Signals, paths: Paths) -> None:
     paths = paths.rows(paths.kind & scene.world.visibility != 0)
     pdf = np.zeros(len(paths.pixel))
     if scene.world.light >= 0:
-        pdf = scene.world.density(paths.direction) * scene.lights.probability[scene.world.light]
+        light = np.full(len(pdf), scene.world.light)
+        pdf = scene.world.density(paths.direction)
+        pdf *= scene.lights.choice_probability(light, paths.origin, paths.normal)
     value = paths.throughput * scene.world.radiance(paths.direction, paths.kind) * _hit_weight(paths, pdf)
     signals.add(paths.pixel, value, paths.share, paths.bounces.sum(axis=1), paths.links)
 
@@ -391,7 +393,7 @@ def _add_direct_light(
 ) -> None:
     light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
     light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
-    index, probability = scene.lights.choose(light_choice, surface.position, bsdf.normal)
+    index, probability = scene.lights.choose(light_choice, surface.position, bsdf.lit_normal)
     light = scene.lights.sample(index, probability, surface.position, light_point)
     side = find_light_side(surface, bsdf.geometric_normal, light.direction)
     diffuse, specular, pdf = evaluate(bsdf, light.direction, side)
