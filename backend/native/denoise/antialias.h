@@ -100,6 +100,7 @@ struct Antialias : Tiles {
     typename Storage::Moments in_moments[Signals];  // of temporal
     const float* in_emission;
     float antialias_frames, still_frames;  // still_frames: see hand_over_frames
+    bool is_catmull_rom;  // see PlusStep
     typename Storage::Color out_history;
     float* out_color;  // [H, W, 3]
 
@@ -150,14 +151,14 @@ private:
         Vec3 mapped;
         float frames = 0.0f;
     };
-    // Weights of four pixels in a row for a place between the middle two, and linear ones of these.
+    // Weights of four pixels in a row for a place between the middle two: Catmull-Rom, and linear ones.
     struct Cubic {
-        float weight[4], linear[2];
+        float weight[4], linear[4];
 
         SVGF_HD explicit Cubic(float t)
             : weight{0.5f * t * ((2.0f - t) * t - 1.0f), 1.0f + t * t * (1.5f * t - 2.5f),
                      0.5f * t * ((4.0f - 3.0f * t) * t + 1.0f), 0.5f * t * t * (t - 1.0f)},
-              linear{1.0f - t, t} {}
+              linear{0.0f, 1.0f - t, t, 0.0f} {}
     };
 
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
@@ -282,7 +283,7 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
+    // Inside the frame.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
         if (px == float(left) && py == float(top)) {
@@ -290,6 +291,13 @@ private:
             return {own.xyz(), box.map(with_brightness(own.xyz())), fast_sqrt(own.w)};
         }
         const Cubic columns(px - float(left)), rows(py - float(top));
+        return is_catmull_rom ? read_between<true>(left, top, columns, rows, box)
+                              : read_between<false>(left, top, columns, rows, box);
+    }
+
+    // Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
+    template <bool IsCatmullRom>
+    SVGF_HD History read_between(int left, int top, const Cubic& columns, const Cubic& rows, const Box& box) const {
         History history;
         Vec3 least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
         float total = 0.0f;
@@ -299,8 +307,9 @@ private:
             SVGF_UNROLL
             for (int i = 0; i < 4; ++i) {
                 const bool is_beside = i == 0 || i == 3, is_above = j == 0 || j == 3;
-                if (is_beside && is_above) continue;
-                const float share = columns.weight[i] * rows.weight[j];
+                if (IsCatmullRom ? is_beside && is_above : is_beside || is_above) continue;
+                const float linear = columns.linear[i] * rows.linear[j];
+                const float share = IsCatmullRom ? columns.weight[i] * rows.weight[j] : linear;
                 const Vec4 tap = hist_color[guides.nearest_pixel(left + i - 1, top + j - 1)];
                 const Vec3 mapped = box.map(with_brightness(tap.xyz()));
                 total += share;
@@ -308,7 +317,7 @@ private:
                 if (is_beside || is_above) continue;
                 least = min(least, mapped);
                 most = max(most, mapped);
-                history.frames += columns.linear[i - 1] * rows.linear[j - 1] * fast_sqrt(tap.w);
+                history.frames += linear * fast_sqrt(tap.w);
             }
         history.mapped = min(max(history.mapped * fast_reciprocal(total), least), most);
         return history;

@@ -129,7 +129,7 @@ struct Atrous {
     typename Storage::Gradients gradients;
     Lattice lattice;
     float sigma_depth, sigma_normal, sigma_luminance;
-    bool has_reflections[Signals] = {};  // read by svgf+ alone
+    bool has_reflections[Signals] = {}, has_prefilter = true;  // read by svgf+ alone
     typename Storage::Color in_color[Signals];
     Sink sink;
 
@@ -302,7 +302,7 @@ private:
     // g_3x3(Var) [Schied17, Eq. 5] around a pixel that stands in the tile's `place`.
     SVGF_HD void prefilter_variance(const Tile& tile, int place, int x, int y, float (&variance)[Signals]) const {
         constexpr bool is_first = PhasesLog2 == 0;
-        if constexpr (Method::compares_means && !is_first) {
+        if (Method::compares_means && !(is_first && has_prefilter)) {
             for (int s = 0; s < Signals; ++s) variance[s] = tile.color[s][place].w;
             return;
         }

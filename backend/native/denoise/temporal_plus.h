@@ -126,6 +126,7 @@ struct TemporalPlus : Tiles {
     float young_frames, structure_share;  // see local_mean_frames and noise_structure_share
     int history_fix_radius;
     bool is_unchanged = false, is_specular[Signals], has_reflections[Signals];
+    bool has_mean_drift;  // see PlusStep
     float history_clamp[Signals], change_threshold[Signals];  // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
     typename Storage::Guides out_guides;
@@ -320,7 +321,8 @@ private:
         if (old.found) {
             const float offset = (luminance(old.color) - local_light) * kept;  // of history, which it leaves of it
             const float deviation = fast_sqrt(fast_max(variance, old.variance));
-            const float residual = -offset * fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
+            const float own_offset = has_mean_drift ? offset : offset + local_light - own_light;
+            const float residual = -own_offset * fast_reciprocal(deviation + 1e-3f * local_light + 1e-30f);
             drift = old.drift + (clamp(residual, -4.0f, 4.0f) - old.drift) * drift_rate;
             const float distance = std::fabs(offset);
             const float allowed = history_clamp[s] * fast_sqrt(variance) + 1e-4f * local_light;

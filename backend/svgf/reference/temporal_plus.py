@@ -4,7 +4,7 @@ done otherwise than in [Schied17], and why, stands in native/denoise/temporal_pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..settings import PlusStep
@@ -87,8 +87,11 @@ def temporal_plus(
     old_color, old_frames, old_variance, expected = [xp.zeros((*shape, 3)) for _ in illumination], none, none, none
     drifts = none
     found, moves, repaired = xp.zeros(shape, bool), xp.zeros(shape, bool), 0
-    if history is not None:
-        point = reproject(guides, history.guides, motion, settings)
+    if history is not None and settings.has(PlusStep.HISTORY):
+        point = replace(
+            reproject(guides, history.guides, motion, settings),
+            tests_taps=settings.has(PlusStep.TESTED_TAPS), interpolates=settings.has(PlusStep.INTERPOLATION),
+        )  # fmt: skip
         repaired = point.repaired
         rows, columns = xp.meshgrid(xp.arange(shape[0]), xp.arange(shape[1]), indexing="ij")
         moves = point.reachable & ((point.x != columns) | (point.y != rows))
@@ -136,7 +139,8 @@ def temporal_plus(
         n = xp.where(moves, xp.minimum(n, settings.longest_history), n)
         variance = old_variance[s] + (spread - old_variance[s]) / n
         deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
-        residual = (mean_light - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
+        seen = mean_light if settings.has(PlusStep.MEAN_DRIFT) else luminance(sample)
+        residual = (seen - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
         residual = xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL)
         drift = drifts[s] + (residual - drifts[s]) * DRIFT_RATE
         # History that is too far from the samples is drawn to them, and counts as shorter.
