@@ -366,6 +366,31 @@ def visibility_scene() -> Scene:
     return dataclasses.replace(scene, instances=instances, lights=lights, world=world)
 
 
+def with_terminator_offset(scene: Scene, offset: float) -> Scene:
+    offsets = np.full(len(scene.instances.mesh), offset, np.float32)
+    return dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, terminator_offset=offsets))
+
+
+def terminator_scene() -> Scene:
+    """Coarse balls with smooth normals under a sun that grazes them and a lamp close to them: of all kinds of lobes,
+    mirrored, stretched, and one from within."""
+    ball = sphere(0.6, rows=4)
+    screen = Material("screen", kind=MaterialKind.TRANSLUCENT, base_color=(0.6, 0.7, 0.3))
+    opening = dataclasses.replace(
+        ball, triangles=ball.triangles[:20], normals=ball.normals[:20], material_slots=ball.material_slots[:20]
+    )
+    objects = [
+        (quad(6.0), transform((0, 0, -0.7)), [WHITE]),
+        (ball, transform((-1.2, 0, 0)), [WHITE]),
+        (ball, transform((0, 0, 0), np.diag([-1.0, 1.0, 1.0])), [GLOSSY]),
+        (ball, transform((1.2, 0, 0), rotation("y", 0.5) @ np.diag([1.0, 0.8, 0.5])), [ROUGH_GLASS]),
+        (opening, transform((0, -0.2, 1.0), rotation("x", 2.0)), [screen]),
+    ]
+    sun = Light("sun", LightKind.SUN, (3.0, 2.5, 2.0), look_at((3.0, -0.6, 0.7), (0, 0, 0)), (0.05, 0.0))
+    point = lamp(LightKind.POINT, eye=(-0.6, -0.3, 0.5), size=(0.0, 0.0))
+    return with_terminator_offset(build(objects, camera((0.3, -4.0, 1.5), (0, 0, 0.2)), [sun, point]), 0.4)
+
+
 def limited_scene() -> Scene:
     """All that LightPaths can cut short, at once."""
     paths = LightPaths(1, 2, 3, 8, False, False, clamp_direct=0.7, clamp_indirect=0.2, filter_glossy=0.5)
@@ -429,6 +454,7 @@ def device_scenes() -> dict[str, Scene]:
         "cutouts": cutout_scene(),
         "visibility": visibility_scene(),
         "limited": limited_scene(),
+        "shadow_terminator": terminator_scene(),
         "chains": chains_scene(),
         "orthographic": orthographic(moving_scene()),
         "out_of_focus": out_of_focus(moving_scene()),

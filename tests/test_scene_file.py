@@ -80,6 +80,7 @@ def make_scene(frame: int = 1, seed: int = 0) -> Scene:
             object_id=np.array([1, 2, 7], np.int32),
             material_start=np.array([0, 2, 1], np.int32),
             material_table=np.array([0, 1, 1, 0], np.int32),
+            terminator_offset=np.array([0.1, 0.0, 2.5], np.float32),
         ),
         materials=(
             Material("Glass", transmission=1.0, roughness=0.0, ior=1.45),

@@ -75,6 +75,9 @@ INVALID = [
     (change_instances(material_start=np.array([0, 2, 3], np.int32)), r"instances.material_start\[2\] is 3"),
     (change_instances(material_start=np.array([0, 2**31 - 1, 0], np.int32)), r"instances.material_start\[1\]"),
     (change_instances(material_start=np.array([-1, 0, 0], np.int32)), r"instances.material_start\[0\] is -1"),
+    (change_instances(terminator_offset=np.float32([0, -0.1, 0])), r"instances.terminator_offset holds -0.1;"),
+    (change_instances(terminator_offset=np.float32([0, NAN, 0])), r"instances.terminator_offset holds 1 numbers"),
+    (change_instances(terminator_offset=np.zeros(2, np.float32)), r"instances.terminator_offset is float32 \[2\]"),
     (change_instances(material_table=np.array([0, 1, 4, 0], np.int32)), r"material_table holds 4, but there are 4 mat"),
     (
         change_material(base_color=(0.1, NAN, 0.1)),

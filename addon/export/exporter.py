@@ -48,6 +48,7 @@ class _Snapshot:
     instance_mesh: np.ndarray
     material_start: np.ndarray
     visibility: np.ndarray
+    terminator_offset: np.ndarray
     material_table: np.ndarray
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
@@ -222,6 +223,7 @@ class Exporter:
             instance_mesh=np.array(placements.mesh, np.int32),
             material_start=np.array(placements.material_start, np.int32),
             visibility=np.array(placements.visibility, np.uint8),
+            terminator_offset=np.array(placements.terminator_offset, np.float32),
             material_table=np.array(placements.material_table, np.int32),
             materials=_keep_all(materials.materials, last and last.materials),
             textures=_keep_all(textures, last and last.textures),
@@ -254,6 +256,7 @@ class Exporter:
             material_start=now.material_start,
             material_table=now.material_table,
             visibility=now.visibility,
+            terminator_offset=now.terminator_offset,
         )
         self._instances = _keep(instances, self._instances)
         return Scene(

@@ -24,6 +24,8 @@ Key = tuple[str, str, bytes]
 
 # Exact in the float32 channel of an object index pass.
 _LARGEST_OBJECT_ID = (1 << 24) - 1
+# A cosine; beyond it nothing changes.
+_LARGEST_TERMINATOR_OFFSET = 1e6
 
 _UNSUPPORTED_TYPES = {
     "CURVES": "hair curves are",
@@ -52,7 +54,7 @@ class Placements:
     """Rows of mesh placements, and the lamps. The lists and matrices have one entry a row.
 
     mesh: index into meshes. matrices: float64 [N, 3, 4], object to world. material_start: into material_table.
-    visibility: bits of RayVisibility.
+    visibility: bits of RayVisibility. terminator_offset: see svgf.scene.Instances.
     """
 
     meshes: list[Mesh] = field(default_factory=list)
@@ -60,6 +62,7 @@ class Placements:
     mesh: list[int] = field(default_factory=list)
     material_start: list[int] = field(default_factory=list)
     visibility: list[int] = field(default_factory=list)
+    terminator_offset: list[float] = field(default_factory=list)
     material_table: list[int] = field(default_factory=list)
     matrices: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4)))
     lights: list[Light] = field(default_factory=list)
@@ -219,6 +222,9 @@ class _Collector:
         self._placements.mesh.append(geometry[0])
         self._placements.material_start.append(geometry[1])
         self._placements.visibility.append(int(visibility))
+        # Of an instance its own, not the instancer's, as in Cycles.
+        offset = min(owner.shadow_terminator_geometry_offset, _LARGEST_TERMINATOR_OFFSET)
+        self._placements.terminator_offset.append(offset)
 
     def _find_geometry(self, owner: bpy.types.Object, data: bpy.types.Mesh) -> tuple[int, int] | None:
         """Mesh index and material start; None where there is nothing to see."""

@@ -57,8 +57,8 @@ def find_in_object(owner: bpy.types.Object, findings: Findings) -> None:
     if owner.is_shadow_catcher:
         findings.add(owner, "shadow catchers are not supported yet; the object is an ordinary one.")
     _find_light_linking(owner, findings)
-    if _differs(owner, "shadow_terminator_shading_offset") or _differs(owner, "shadow_terminator_geometry_offset"):
-        findings.add(owner, "offsets of the shadow terminator are not supported; it is where svgf finds it.")
+    if _differs(owner, "shadow_terminator_shading_offset"):
+        findings.add(owner, "a shading offset of the shadow terminator is not supported; it stays where it is.")
     if any(_dices(modifier) for modifier in owner.modifiers):
         findings.add(owner, "adaptive subdivision is not supported yet; the modifier's own levels are used.")
     for system in owner.particle_systems:

@@ -22,6 +22,7 @@ _BORROWED = {
     "EEVEE_MATERIAL_PT_context_material",
     "EEVEE_MATERIAL_PT_surface",
     "EEVEE_WORLD_PT_surface",
+    "OBJECT_PT_shadow_terminator",
     "VIEWLAYER_PT_override",
 }
 # Settings of denoisers that are for artists; the others are the papers' own.

@@ -97,10 +97,11 @@ void set_instances(Tracer& tracer, std::vector<std::shared_ptr<Mesh>> meshes, Ho
                    HostArray<float> object_to_world, HostArray<float> world_to_object,
                    HostArray<float> previous_object_to_world, HostArray<int32_t> object_id,
                    HostArray<int32_t> material_start, HostArray<int32_t> material_table, HostArray<uint8_t> visibility,
-                   HostArray<int32_t> emitter) {
+                   HostArray<int32_t> emitter, HostArray<float> terminator_offset) {
     const Tracer::Instances instances{span_of(instance_mesh),   span_of(object_to_world), span_of(world_to_object),
                                       span_of(previous_object_to_world), span_of(object_id), span_of(material_start),
-                                      span_of(material_table), span_of(visibility), span_of(emitter)};
+                                      span_of(material_table), span_of(visibility), span_of(emitter),
+                                      span_of(terminator_offset)};
     nb::gil_scoped_release release;
     tracer.set_instances(std::move(meshes), instances);
 }
@@ -403,7 +404,7 @@ void bind_tracer(nb::module_& module) {
     nb::class_<Tracer>(module, "Tracer").def(nb::init<Device&>(), nb::keep_alive<1, 2>(), "device"_a)
         .def("set_instances", &set_instances, "meshes"_a, "instance_mesh"_a, "object_to_world"_a, "world_to_object"_a,
              "previous_object_to_world"_a, "object_id"_a, "material_start"_a, "material_table"_a, "visibility"_a,
-             "emitter"_a)
+             "emitter"_a, "terminator_offset"_a)
         .def("set_materials", [](Tracer& tracer, HostArray<float> materials, HostArray<float> material_maps,
                                  std::vector<std::shared_ptr<Texture>> textures) {
             tracer.set_materials(span_of(materials), span_of(material_maps), std::move(textures));

@@ -87,6 +87,7 @@ _INSTANCE_ARRAYS = (
     "material_start",
     "material_table",
     "visibility",
+    "terminator_offset",
 )
 # Fields of FlatScene that flatten_lights makes.
 _LIGHT_ARRAYS = (
@@ -118,7 +119,7 @@ class FlatScene:
 
     meshes, textures: the scene's. mesh_bounds: [meshes, 2, 3] smallest and largest finite vertex, NaN without any.
     Instances (N rows): instance_mesh int32 [N], object_to_world, world_to_object, previous_object_to_world [N, 3, 4],
-    object_id int32 [N], material_start int32 [N], material_table int32, visibility uint8 [N].
+    object_id int32 [N], material_start int32 [N], material_table int32, visibility uint8 [N], terminator_offset [N].
 
     materials [M, 48]: see MATERIAL_COLUMNS; 47 is zero. material_maps [K, 12], those of a material one after the other:
     column that the value goes to 0, texture 1, channel 2 (-1: RGB), uv_layer 3, uv_transform 4:10, 10:12 zero.
@@ -170,6 +171,7 @@ class FlatScene:
     material_start: np.ndarray
     material_table: np.ndarray
     visibility: np.ndarray
+    terminator_offset: np.ndarray
 
     materials: np.ndarray
     material_maps: np.ndarray
@@ -369,6 +371,9 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
     visibility = np.full(len(mesh), int(RayVisibility.ALL), dtype=np.uint8)
     if instances.visibility is not None:
         visibility[:] = instances.visibility
+    terminator_offset = np.zeros(len(mesh))
+    if instances.terminator_offset is not None:
+        terminator_offset[:] = instances.terminator_offset
     warnings: tuple[str, ...] = ()
     if not exists.all():
         names = ", ".join(sorted({scene.meshes[index].name for index in np.unique(mesh[~exists])})[:3])
@@ -376,7 +381,7 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
         warnings = (f"{count} instance(s) left out, their transform has no inverse (meshes: {names}).",)
         object_to_world, previous, inverse = object_to_world[exists], previous[exists], inverse[exists]
         mesh, object_id, material_start = mesh[exists], object_id[exists], material_start[exists]
-        visibility = visibility[exists]
+        visibility, terminator_offset = visibility[exists], terminator_offset[exists]
 
     unknown = ~np.isfinite(previous).all(axis=(1, 2))
     previous[unknown] = object_to_world[unknown]
@@ -390,6 +395,7 @@ def _instance_arrays(scene: Scene, origin: np.ndarray) -> tuple[dict[str, np.nda
         "material_start": material_start,
         "material_table": np.asarray(instances.material_table, dtype=np.int32),
         "visibility": visibility,
+        "terminator_offset": terminator_offset,
     }, warnings
 
 

@@ -58,6 +58,7 @@ class SceneUploader:
                 flat.material_table,
                 flat.visibility,
                 flat.emitter,
+                self._rounded(flat.terminator_offset),
             )
         if self._changed(flat, LIGHT_FIELDS):
             self._tracer.set_lights(**{name: self._rounded(getattr(flat, name)) for name in LIGHT_FIELDS})
@@ -133,6 +134,7 @@ class SceneUploader:
 TRANSFORM_FIELDS = ("object_to_world", "world_to_object", "previous_object_to_world")
 INSTANCE_FIELDS = (
     "instance_mesh", *TRANSFORM_FIELDS, "object_id", "material_start", "material_table", "visibility", "emitter",
+    "terminator_offset",
 )  # fmt: skip
 MATERIAL_FIELDS = ("materials", "material_maps")
 LIGHT_FIELDS = (

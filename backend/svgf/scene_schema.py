@@ -164,7 +164,7 @@ SCHEMA: dict[type, dict[str, _Decoder]] = {
     },
     Instances: {
         **dict.fromkeys((field.name for field in fields(Instances)), _array),
-        "visibility": _optional(_array),
+        **dict.fromkeys(("visibility", "terminator_offset"), _optional(_array)),
     },
     Material: {
         "name": _text,

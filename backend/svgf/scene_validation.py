@@ -295,6 +295,11 @@ def _check_instances(instances: Instances, meshes: list[_MeshFacts], material_co
         visibility = _array("instances.visibility", instances.visibility, np.uint8, (count,))
         if visibility.max(initial=0) > RayVisibility.ALL:
             raise _Invalid("instances.visibility", f"holds {visibility.max()}, which is no set of rays")
+    if instances.terminator_offset is not None:
+        offset = _array("instances.terminator_offset", instances.terminator_offset, np.float32, (count,))
+        _finite("instances.terminator_offset", offset)
+        if offset.min(initial=0.0) < 0.0:
+            raise _Invalid("instances.terminator_offset", f"holds {offset.min():g}; offsets are at least 0")
     slot_count = np.array([facts.slot_count for facts in meshes], np.int64)
     end = start.astype(np.int64) + slot_count[mesh] if count else np.zeros(0, np.int64)
     wrong = np.flatnonzero((start < 0) | (end > len(table)))

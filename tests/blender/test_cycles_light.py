@@ -9,6 +9,7 @@ deviations of the difference of the means (error rate 1e-5 each) and half a perc
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -56,11 +57,13 @@ def render_cycles(path: Path, samples: int, seed: int) -> np.ndarray:
     return pixels.reshape(HEIGHT, WIDTH, 4)[::-1].astype(np.float64)
 
 
-def render_svgf(samples: int, seed: int) -> np.ndarray:
+def render_svgf(samples: int, seed: int, **instances) -> np.ndarray:
+    """instances: fields to replace."""
     from svgf.renderer import Renderer
     from svgf.settings import Settings
 
     scene = export(size=(WIDTH, HEIGHT))
+    scene = replace(scene, instances=replace(scene.instances, **instances))
     frame = Renderer(Settings(samples=samples, seed=seed, method="none"), "cpu").render(scene)
     alpha = np.ones((HEIGHT, WIDTH)) if frame.alpha is None else frame.alpha
     return np.dstack([frame.noisy, alpha]).astype(np.float64)
@@ -302,6 +305,77 @@ def test_depth_of_field(room, tmp_path, kind, blades):
     add_shader(glow.data.materials[0], "ShaderNodeEmission", Strength=20)
     bpy.context.scene.cycles.max_bounces = 0
     assert_same_picture(tmp_path)
+
+
+def add_coarse_ball(location=(0, 0, 0)) -> bpy.types.Object:
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=4, radius=1.0, location=location)
+    ball = bpy.context.object
+    ball.data.shade_smooth()
+    add_shader(add_material("Ball", ball), "ShaderNodeBsdfDiffuse", Color=(0.6, 0.6, 0.6))
+    return ball
+
+
+def add_curtain(**material) -> bpy.types.Object:
+    """Folds of single quads with smooth normals."""
+    count = 9
+    rows = [[(x, -0.2 * (-1) ** i, z) for i, x in enumerate(np.linspace(-1.8, 1.8, count))] for z in (0.1, 1.9)]
+    quads = [(i, i + 1, count + i + 1, count + i) for i in range(count - 1)]
+    curtain = add_mesh("Curtain", (rows[0] + rows[1], quads), (0, 0.6, 0))
+    curtain.data.shade_smooth()
+    add_shader(add_material("Cloth", curtain), material.pop("kind", "ShaderNodeBsdfDiffuse"), **material)
+    return curtain
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.5])
+@pytest.mark.parametrize("kind", ["SUN", "POINT"])
+def test_shadow_terminator(room, tmp_path, kind, offset):
+    """Along a curtain; a mirror shows its other side."""
+    curtain = add_curtain()
+    size = {"SUN": {"angle": 0.02}, "POINT": {"shadow_soft_size": 0.05}}[kind]
+    lamp = add_light(kind, energy=3 if kind == "SUN" else 300, location=(4, 0.3, 1.2), **size)
+    lamp.rotation_euler = Euler((1.2, 0, 1.35))
+    room[1].data.materials.clear()
+    add_shader(add_material("Mirror", room[1]), "ShaderNodeBsdfGlossy", Roughness=0.0)
+    bpy.context.scene.cycles.max_bounces = 1
+    dark = render_svgf(64, 1, terminator_offset=None)
+    curtain.shadow_terminator_geometry_offset = offset
+    assert np.mean(render_svgf(64, 1) > 1.2 * dark + 0.02) > 0.05
+    assert_same_picture(tmp_path, 256)
+
+
+def test_no_shadow_terminator_offset(room, tmp_path):
+    ball = add_coarse_ball((0, 0, 1))
+    ball.shadow_terminator_geometry_offset = 0.0
+    add_light("SUN", energy=3, angle=0.02).rotation_euler = Euler((1.2, 0, 1.0))
+    bpy.context.scene.cycles.max_bounces = 0
+    assert_same_picture(tmp_path, 256)
+
+
+@pytest.mark.parametrize("kind", ["Translucent", "Glossy", "Principled"])
+def test_shadow_terminator_of_other_lobes(room, tmp_path, kind):
+    add_curtain(kind=f"ShaderNodeBsdf{kind}", **({} if kind == "Translucent" else {"Roughness": 0.4}))
+    # From behind the curtain, or from the front.
+    around = 1.8 if kind == "Translucent" else 1.35
+    add_light("SUN", energy=3, angle=0.02).rotation_euler = Euler((1.2, 0, around))
+    bpy.context.scene.cycles.max_bounces = 0
+    assert_same_picture(tmp_path, 256)
+
+
+@pytest.mark.parametrize("scale", [(0.4, 0.4, 0.4), (-1, 1, 1), (1.0, 0.5, 1.3)], ids=str)
+def test_shadow_terminator_of_instances(room, tmp_path, scale):
+    """Two of a mesh each: Cycles leaves such objects in their own space."""
+    ball = add_coarse_ball()
+    other = ball.copy()
+    bpy.context.scene.collection.objects.link(other)
+    for obj, x in ((ball, -1.0), (other, 1.0)):
+        obj.location, obj.scale, obj.rotation_euler = (x * abs(scale[0]), 0, 1), scale, Euler((0.3, 0.2 * x, 0))
+        obj.shadow_terminator_geometry_offset = 0.5
+    camera = bpy.context.scene.camera
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 5.0 * abs(scale[0])
+    camera.location, camera.rotation_euler = (0, -5, 1), Euler((np.pi / 2, 0, 0))
+    add_light("SUN", energy=3, angle=0.02).rotation_euler = Euler((1.3, 0, 1.2))
+    bpy.context.scene.cycles.max_bounces = 0
+    assert_same_picture(tmp_path, 256)
 
 
 def test_transparent_film(room, tmp_path):

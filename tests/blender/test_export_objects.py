@@ -172,6 +172,28 @@ def test_ray_visibility():
     assert not scene.warnings and seen.visible_camera
 
 
+def test_terminator_offset():
+    """Blender's own unless the object has another; of an instance that of what is placed."""
+    plain, rough = add_mesh("Plain"), add_mesh("Rough")
+    rough.shadow_terminator_geometry_offset = 0.7
+    scene = export()
+    validate(scene)
+    offsets = scene.instances.terminator_offset
+    assert offsets[instance_of(scene, "Plain")] == np.float32(0.1)
+    assert offsets[instance_of(scene, "Rough")] == np.float32(0.7)
+    assert not scene.warnings
+    rough.shadow_terminator_geometry_offset = 1e30
+    validate(export())
+    rough.shadow_terminator_geometry_offset = 0.7
+
+    rough.parent, plain.instance_type = plain, "VERTS"
+    plain.shadow_terminator_geometry_offset = 0.3
+    scene = export()
+    names = [scene.meshes[mesh].name for mesh in scene.instances.mesh]
+    placed = [offset for name, offset in zip(names, scene.instances.terminator_offset, strict=True) if name == "Rough"]
+    assert placed == [np.float32(0.7)] * 5  # four, and the object itself
+
+
 def test_an_instance_is_seen_by_what_sees_its_instancer():
     collection = bpy.data.collections.new("Collection")
     quad = add_mesh()

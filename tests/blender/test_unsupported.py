@@ -112,7 +112,7 @@ CASES = {
     "shadow catcher": (object_with(is_shadow_catcher=True), 'Object "Quad": shadow catchers are not supported'),
     "shadow terminator": (
         object_with(shadow_terminator_shading_offset=0.5),
-        'Object "Quad": offsets of the shadow terminator',
+        'Object "Quad": a shading offset of the shadow terminator',
     ),
     "adaptive subdivision": (adaptive_subdivision, 'Object "Quad": adaptive subdivision is not supported'),
     "light linking": (light_linking, 'Object "Quad": light linking is not supported'),

@@ -128,6 +128,34 @@ def test_hostile_triangles(device, kind):
         np.testing.assert_allclose(frame.depth, plain.depth, rtol=1e-5)
 
 
+@pytest.mark.parametrize("offset", [0.1, 1e-30, 1e18])
+@pytest.mark.parametrize("kind", ["nan", "zero", "cancelling", "inverted", "random", "degenerate", "huge"])
+def test_shadow_terminator_of_hostile_normals(device, kind, offset):
+    ball = scenes.sphere(0.8, rows=4)
+    normals, positions = np.array(ball.normals), np.array(ball.positions)
+    some = np.arange(0, len(normals), 2)
+    if kind in ("nan", "zero"):
+        normals[some, 1] = {"nan": np.nan, "zero": 0.0}[kind]
+    elif kind == "cancelling":
+        normals[some, 1] = -normals[some, 0]
+    elif kind == "inverted":
+        normals[some] *= -1
+    elif kind == "random":
+        normals = np.random.default_rng(4).normal(size=normals.shape).astype(np.float32)
+        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    elif kind == "degenerate":
+        positions[ball.triangles[some, 1]] = positions[ball.triangles[some, 0]]
+    else:
+        positions *= np.float32(1e30)
+    hostile = dataclasses.replace(ball, normals=normals, positions=positions)
+    lights = [scenes.lamp(LightKind.SUN, eye=(3, -0.5, 0.2)), scenes.lamp(LightKind.POINT, eye=(1.0, -0.5, 0.3))]
+    scene = scenes.build(
+        [(hostile, scenes.transform(), [scenes.WHITE])], scenes.camera((0, -3, 0.3), (0, 0, 0)), lights
+    )
+    frame = render(device, scenes.with_terminator_offset(scene, offset))
+    assert kind == "huge" or frame.noisy.mean() > 0
+
+
 @pytest.mark.parametrize(
     "material",
     [

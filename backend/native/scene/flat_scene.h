@@ -250,6 +250,7 @@ struct SceneView {
     std::int32_t merged_instance = -1;
     const std::int32_t* members = nullptr;
     const Placement* placements = nullptr;
+    const float* terminator_offsets = nullptr;  // of each instance, >= 0, see trace/shadow_terminator.h; null: all 0
     const MeshView* meshes = nullptr;
     // Of each instance that of its triangles, in leaf order; null: no light passes any of them.
     const TriangleOpacity* const* opacity = nullptr;

@@ -12,7 +12,8 @@
 // In this one thing not as Cycles: of rough glass seen from within at a slant Cycles gives back too little (0.75 of all
 // light at 85 degrees and roughness 1); here white glass stays white, within 0.5 %.
 // A lobe of vanishing roughness is a mirror ("delta"): sampled on its own, and no part of evaluate().
-// Directions point away from the surface; what lies on the wrong side of the geometric normal is black.
+// Directions point away from the surface; what lies on the wrong side of the geometric normal is black, of light that
+// is aimed at on the wrong side as trace/shadow_terminator.h knows it.
 // Under a normal map, D and H have the map's normal, of which S and G take what keeps their reflections above the
 // surface, and C the smooth one unless told otherwise. A lobe whose normal is not that of S is called tilted.
 //
@@ -77,8 +78,9 @@ public:
     SVGF_HD Bsdf(const SceneView& scene, const Surface& surface, Vec3 view)
         : Bsdf(scene.albedo_tables, surface, view, orient<kernel>(surface, view)) {}
 
-    SVGF_HD BsdfValue evaluate(Vec3 light) const {
-        return evaluate_local(frame_.to_local(light), dot(geometric_normal, light), light);
+    // side: > 0 where light comes from the viewer's side of the surface, < 0 from the other one.
+    SVGF_HD BsdfValue evaluate(Vec3 light, float side) const {
+        return evaluate_local(frame_.to_local(light), side, light);
     }
 
     // u: direction within the lobe. lobe: chooses D, H, S, C or G in this order; what is left of it reflection or

@@ -6,7 +6,7 @@
 
 namespace svgf {
 
-// light: in the local frame, and in the world. side: its cosine with the geometric normal.
+// light: in the local frame, and in the world. side: its side of the surface by sign, see evaluate().
 template <Effects kernel>
 SVGF_HD inline BsdfValue Bsdf<kernel>::evaluate_local(Vec3 light, float side, Vec3 world_light) const {
     BsdfValue value;

@@ -20,6 +20,7 @@
 #include "trace/light_paths.h"
 #include "trace/lights.h"
 #include "trace/opacity.h"
+#include "trace/shadow_terminator.h"
 #include "trace/surface.h"
 
 namespace svgf {
@@ -159,7 +160,7 @@ struct PathVertices {
         if constexpr (has_limits) simplify(path, surface.material);
         const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
         seen.surface(path, surface, hit, bsdf);
-        if (scene.lights.interval_count > 0) find_direct_light(numbers, path, surface, bsdf, shadow);
+        if (scene.lights.interval_count > 0) find_direct_light(numbers, path, surface, hit, bsdf, shadow);
 
         BsdfSample next = bsdf.sample(numbers.pair(SamplePair::direction), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
@@ -358,7 +359,7 @@ private:
     }
 
     SVGF_HD void find_direct_light(const VertexSampler& numbers, const Path& path, const Surface& surface,
-                                   const Bsdf<kernel>& bsdf, ShadowRay& shadow) const {
+                                   const Hit& hit, const Bsdf<kernel>& bsdf, ShadowRay& shadow) const {
         const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.normal,
                                                         numbers.pair(SamplePair::light));
         if (choice.index < 0) return;
@@ -366,16 +367,18 @@ private:
         const LightSample found = sample_light<kernel>(scene, row, choice.probability, surface.position,
                                                        numbers.pair(SamplePair::light_point));
         if (!(found.pdf > 0.0f)) return;
-        BsdfValue value = bsdf.evaluate(found.direction);
+        const float side = find_light_side<kernel>(surface, bsdf.geometric_normal, found.direction);
+        BsdfValue value = bsdf.evaluate(found.direction, side);
         if constexpr (has_limits || covers(kernel, Effects::ray_visibility))
-            keep(value, row.visibility & allowed_kinds(path), dot(bsdf.geometric_normal, found.direction) < 0.0f);
+            keep(value, row.visibility & allowed_kinds(path), side < 0.0f);
         const float mis = found.delta ? 1.0f : power_heuristic(found.pdf, value.pdf);
         const Vec3 arriving = path.throughput * value.total() * found.radiance * fast_quotient(mis, found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
-        shadow.ray = {offset_from_surface(surface, found.direction), found.direction, 0.0f, infinity, ray_kind::shadow};
+        const Vec3 origin = find_shadow_origin<kernel>(scene, surface, hit, found.direction);
+        shadow.ray = {origin, found.direction, 0.0f, infinity, ray_kind::shadow};
         if (found.distance < infinity) {
             // To the very point: beside it, a light that is seen at an angle would shadow itself.
-            shadow.ray.direction = surface.position - shadow.ray.origin + found.direction * found.distance;
+            shadow.ray.direction = surface.position - origin + found.direction * found.distance;
             shadow.ray.t_max = shadow_ray_end;
         }
         shadow.light = arriving;

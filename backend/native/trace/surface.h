@@ -18,6 +18,7 @@ struct Surface {
     Vec3 smooth_normal;                     // shading_normal without the normal map; only with normal maps
     Vec3 tangent;                           // of anisotropy, of any length; only with anisotropy
     float clearance;                        // see offset_from_surface
+    float terminator_offset = 0.0f;         // of a triangle with smooth normals, see trace/shadow_terminator.h
     std::int32_t material_index;            // in the mesh's slot; `material` may be a part of it
     Material material;                      // with the values of its maps
     float weight = 1.0f;                    // of all that the material does, as a part of the one in the slot
@@ -282,6 +283,7 @@ SVGF_HD Surface find_surface(const SceneView& scene, const Hit& hit, Vec3 view, 
         if (max_component(abs(normal)) > 1e-6f) {
             object_normal = normal;
             surface.shading_normal = normalize_any_length(transform_normal(instance.world_to_object, normal));
+            if (scene.terminator_offsets) surface.terminator_offset = scene.terminator_offsets[hit.instance];
         }
     }
     surface.material_index = slot;

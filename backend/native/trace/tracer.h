@@ -52,6 +52,7 @@ public:
         std::span<const std::int32_t> material_table;
         std::span<const std::uint8_t> visibility;         // [N]
         std::span<const std::int32_t> emitter;            // [N], index into Lights::emitters, or -1
+        std::span<const float> terminator_offset;         // [N], >= 0
     };
 
     // L lights: suns, the environment, other lamps, triangles.
@@ -153,6 +154,7 @@ private:
     Buffer<TopLeaf> top_leaves_;
     Buffer<Instance> instances_;
     Buffer<Placement> placements_;
+    Buffer<float> terminator_offsets_;
     Buffer<MeshView> mesh_views_;
     Buffer<std::int32_t> material_table_;
     Buffer<Material> materials_;

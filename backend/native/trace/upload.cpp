@@ -46,6 +46,20 @@ Mat34 inverse_of(const Mat34& object_to_world, const Mat34& world_to_object) {
     return result;
 }
 
+// Empty where no mesh with normals of its own has any.
+std::vector<float> cleaned_terminator_offsets(const Tracer::Instances& arrays,
+                                              std::span<const std::shared_ptr<Mesh>> meshes) {
+    constexpr float smallest = 1e-6f, largest = 1e6f;
+    std::vector<float> offsets(arrays.terminator_offset.begin(), arrays.terminator_offset.end());
+    bool has_any = false;
+    for (std::size_t i = 0; i < offsets.size(); ++i) {
+        offsets[i] = offsets[i] >= smallest ? std::min(offsets[i], largest) : 0.0f;
+        has_any |= offsets[i] > 0.0f && meshes[std::size_t(arrays.mesh[i])]->view().normals;
+    }
+    if (!has_any) offsets.clear();
+    return offsets;
+}
+
 Vec3 cleaned_color(Vec3 c) {
     const auto cleaned = [](float x) { return is_finite(x) && x > 0.0f ? x : 0.0f; };
     return {cleaned(c.x), cleaned(c.y), cleaned(c.z)};
@@ -157,8 +171,9 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
            "Each instance needs three transforms of 3 x 4.");
     expect(arrays.object_id.size() == count && arrays.material_start.size() == count,
            "Each instance needs an object id and a material start.");
-    expect(arrays.visibility.size() == count && arrays.emitter.size() == count,
-           "Each instance needs a visibility and an emitter.");
+    expect(arrays.visibility.size() == count && arrays.emitter.size() == count &&
+               arrays.terminator_offset.size() == count,
+           "Each instance needs a visibility, an emitter and a terminator offset.");
     expect(count < (std::size_t(1) << 30), "There may be at most 2^30 instances.");
 
     std::vector<Instance> instances(count);
@@ -233,6 +248,9 @@ void Tracer::set_instances(std::vector<std::shared_ptr<Mesh>> meshes, const Inst
     scene_.top_leaves = top_leaves_.data();
     scene_.instances = instances_.data();
     scene_.placements = placements_.data();
+    const std::vector<float> terminator_offsets = cleaned_terminator_offsets(arrays, meshes);
+    terminator_offsets_ = Buffer<float>(device_, std::span<const float>(terminator_offsets), "instances");
+    scene_.terminator_offsets = terminator_offsets.empty() ? nullptr : terminator_offsets_.data();
     scene_.meshes = mesh_views_.data();
     scene_.material_table = material_table_.data();
 }

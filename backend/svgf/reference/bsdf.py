@@ -10,8 +10,9 @@ that GGX loses between microfacets, each lobe is given back what Fresnel's term 
 
 All arrays have one row per ray. V is the direction to the viewer, L the sampled one; both point away from the surface.
 Local directions are in a frame whose Z is the shading normal N and whose X is the tangent. What lies on the wrong side
-of the geometric normal Ng is black. Under a normal map D and H have the map's normal, of which S and G take what keeps
-their reflections above the surface, and C the smooth one unless told otherwise: such lobes are tilted.
+of the geometric normal Ng is black, of light that is aimed at on the wrong side as shadow_terminator.py knows it. Under
+a normal map D and H have the map's normal, of which S and G take what keeps their reflections above the surface, and C
+the smooth one unless told otherwise: such lobes are tilted.
 
 bsdf_lobes makes the lobes of a material, bsdf_evaluate gives their value for a direction, bsdf_sample chooses one.
 """

@@ -12,12 +12,15 @@ from .shading_normal import bump_shadowing
 from .vec import dot, normalize
 
 
-def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def evaluate(
+    bsdf: Bsdf, light: np.ndarray, side: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Diffuse and other lobes, times |cosine|, [n, 3] each, and the density [n] with which ``sample`` finds light.
 
-    light: [n, 3], unit, world. Smooth lobes have no part in any of the three.
+    light: [n, 3], unit, world. side: [n], of the surface that it is on, > 0 for the viewer's; None: by the geometric
+    normal. Smooth lobes have no part in any of the three.
     """
-    side = dot(bsdf.geometric_normal, light)
+    side = dot(bsdf.geometric_normal, light) if side is None else side
     diffuse, pdf = _diffuse(bsdf, light, side)
     specular = np.zeros_like(diffuse)
     for value, density in (*_reflections(bsdf, light, side), _refraction(bsdf, light, side)):
@@ -27,8 +30,7 @@ def evaluate(bsdf: Bsdf, light: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def _diffuse(bsdf: Bsdf, light: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D and H: value [n, 3] and density [n]. What bumps hide they are found by all the same. side: [n], cosine of light
-    with Ng."""
+    """D and H: value [n, 3] and density [n]. What bumps hide they are found by all the same. side: [n], of light."""
     view, local = (to_lobe(bsdf, vector, bsdf.diffuse_normal, bsdf.tilted_diffuse) for vector in (bsdf.view, light))
     hidden, darkening = bump_shadowing(bsdf.smooth_normal, bsdf.diffuse_normal, light)
     cosine = local[:, 2]

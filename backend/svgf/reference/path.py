@@ -28,6 +28,7 @@ from .sampling import (
     power_heuristic,
     random_pair,
 )
+from .shadow_terminator import find_light_side, shadow_rays
 from .surface import SceneView, Surface, surface_at
 
 ROULETTE_START = 3
@@ -224,7 +225,7 @@ def _scatter(
     allowed = _allowed_kinds(paths, limits)
     if scene.lights.intervals:
         _add_direct_light(
-            scene, signals, keys, sample_number, limits, paths, bsdf, position, magnitude, allowed, vertex
+            scene, signals, keys, sample_number, limits, paths, surface, bsdf, allowed, vertex
         )
 
     next_direction = random_pair(keys[paths.pixel], direction_pair(vertex), sample_number)
@@ -345,26 +346,24 @@ def _add_direct_light(
     sample_number: int,
     limits: LightPaths,
     paths: Paths,
+    surface: Surface,
     bsdf: Bsdf,
-    position: np.ndarray,
-    magnitude: np.ndarray,
     allowed: np.ndarray,
     vertex: int,
 ) -> None:
     light_choice = random_pair(keys[paths.pixel], light_choice_pair(vertex), sample_number)
     light_point = random_pair(keys[paths.pixel], light_point_pair(vertex), sample_number)
-    index, probability = scene.lights.choose(light_choice, position, bsdf.normal)
-    light = scene.lights.sample(index, probability, position, light_point)
-    diffuse, specular, pdf = evaluate(bsdf, light.direction)
-    below = (bsdf.geometric_normal * light.direction).sum(axis=1) < 0.0
-    diffuse, specular = _kept(diffuse, specular, allowed & scene.lights.visibility[index], below)
+    index, probability = scene.lights.choose(light_choice, surface.position, bsdf.normal)
+    light = scene.lights.sample(index, probability, surface.position, light_point)
+    side = find_light_side(surface, bsdf.geometric_normal, light.direction)
+    diffuse, specular, pdf = evaluate(bsdf, light.direction, side)
+    diffuse, specular = _kept(diffuse, specular, allowed & scene.lights.visibility[index], side < 0.0)
     total = diffuse + specular
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.where(light.delta, 1.0, power_heuristic(light.pdf, pdf)) / light.pdf
         value = paths.throughput * total * light.radiance * weight[:, None]
     lit = np.flatnonzero((light.pdf > 0.0) & (value > 0.0).any(axis=1))
-    direction = light.direction[lit]
-    origin = offset_origin(position[lit], magnitude[lit], bsdf.geometric_normal[lit], direction)
+    origin, direction, distance = shadow_rays(surface.chosen(lit), light.direction[lit], light.distance[lit])
     surfaces = limits.transparent_bounces - paths.transparent_bounces[lit]
     value[lit] *= shadow_transmittance(
         scene,
@@ -373,7 +372,7 @@ def _add_direct_light(
         vertex,
         origin,
         direction,
-        light.distance[lit] * SHADOW_END,
+        distance * SHADOW_END,
         surfaces,
     )
     share = np.where(paths.on_chain[lit, None], _share(diffuse[lit], total[lit]), paths.share[lit])

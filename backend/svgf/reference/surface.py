@@ -16,6 +16,7 @@ from .intersect import Geometry, Hierarchy, Hits, solid_triangles
 from .layers import column, has_smooth_coat_normal, make_layers
 from .lights import Lights
 from .microfacet import fresnel_dielectric
+from .shadow_terminator import find_patch_offsets
 from .texture import Texture
 from .vec import dot, normalize, transform_normal, transform_point, transform_vector
 
@@ -83,6 +84,7 @@ class Shapes(Geometry):
         material_table,
         visibility,
         emitter,
+        terminator_offset,
     ) -> None:
         def transforms(rows) -> np.ndarray:
             return np.asarray(rows, dtype=np.float64).reshape(-1, 3, 4)
@@ -95,6 +97,7 @@ class Shapes(Geometry):
             np.asarray(visibility, dtype=np.int64),
         )
         self.emitter = np.asarray(emitter, dtype=np.int64)
+        self.terminator_offset = np.asarray(terminator_offset, dtype=np.float64)
         self.previous_object_to_world = transforms(previous_object_to_world)
         self.object_id = np.asarray(object_id, dtype=np.int64)
         self.material_start = np.asarray(material_start, dtype=np.int64)
@@ -134,7 +137,8 @@ class Surface:
     position was summed from. material: [n], in the mesh's slot. rows: [n, 48], of the material itself, which may be a
     part of that one, with the values of its maps. weight: [n], of all that it does. straight: [n, 3], what a ray that
     goes straight on is multiplied by where the hit lets it pass, else 0. emission: [n, 3], towards the viewer.
-    light: [n], of the lights, -1 for none."""
+    light: [n], of the lights, -1 for none. terminator_offset: [n], of triangles with smooth normals; patch_offset:
+    [n, 2, 3], outside and inside, see shadow_terminator.py."""
 
     position: np.ndarray
     previous_position: np.ndarray
@@ -150,6 +154,8 @@ class Surface:
     straight: np.ndarray
     emission: np.ndarray
     light: np.ndarray
+    terminator_offset: np.ndarray
+    patch_offset: np.ndarray
 
     def chosen(self, rows: np.ndarray) -> Surface:
         return Surface(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
@@ -222,6 +228,8 @@ def surface_at(scene: SceneView, hits: Hits, found: np.ndarray, view: np.ndarray
         light=scene.lights.find(
             shapes.emitter[instance], triangle - shapes.first_triangle[shapes.instance_mesh[instance]]
         ),
+        terminator_offset=np.where(has_normal, shapes.terminator_offset[instance], 0.0),
+        patch_offset=find_patch_offsets(corners, shapes.normals[triangle], weights, to_world, geometric_normal),
     )
 
 

@@ -26,7 +26,7 @@ class Tracer:
 
     def __init__(self, device: Device | None = None) -> None:
         self._device = device or Device()
-        self._shapes = Shapes([], *(np.zeros(0) for _ in range(9)))
+        self._shapes = Shapes([], *(np.zeros(0) for _ in range(10)))
         self._materials = np.zeros((0, 48))
         self._material_maps = np.zeros((0, 12))
         self._textures: list[Texture] = []
@@ -46,6 +46,7 @@ class Tracer:
         material_table,
         visibility,
         emitter,
+        terminator_offset,
     ) -> None:
         self._shapes = Shapes(
             meshes,
@@ -58,6 +59,7 @@ class Tracer:
             material_table,
             visibility,
             emitter,
+            terminator_offset,
         )
 
     def set_materials(self, materials, material_maps, textures: list[Texture]) -> None:
