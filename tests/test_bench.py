@@ -55,32 +55,39 @@ def test_bench_denoise(tmp_path: Path) -> None:
 
 
 def test_bench_ablation(scene_file: Path, tmp_path: Path) -> None:
-    frames = ("--size", "16x9", "--device", "reference", "--frames", "1-4", "--first", 2, "--reference-spp", 4)
-    options = (*frames, "--method", "svgf", "--method", "none")
+    frames = ("--size", "16x9", "--device", "cpu", "--frames", "1-4", "--first", 2, "--reference-spp", 4)
+    options = (*frames, "--method", "svgf+", "--method", "none")
     files = ("--csv", tmp_path / "a.csv", "--plot", tmp_path / "a.png")
     rows = json.loads(assert_done(run("bench", "ablation", scene_file, *options, *files, "--json")))["rows"]
-    from svgf.bench.ablation import STEPS
+    from svgf.bench.ablation import STEPS, STILL_STEPS
 
-    assert [(row["method"], row["off"]) for row in rows] == [
-        ("svgf", "whole"), *(("svgf", off) for off in STEPS["svgf"]), ("none", "whole")
-    ]  # fmt: skip
+    assert [(row["scene"], row["method"], row["off"]) for row in rows] == [
+        *(("shard", "svgf+", off) for off in ("whole", *STEPS["svgf+"])),
+        ("shard", "none", "whole"),
+        *(("shard, still", "svgf+", off) for off in ("whole", *STILL_STEPS)),
+    ]
     assert all(row[name] >= 0.0 for row in rows for name in ("relmse", "flip", "flicker", "milliseconds"))
     # What is off is off: without the filter only the temporal mean is left, which has more noise.
-    by_step = {row["off"]: row for row in rows if row["method"] == "svgf"}
+    by_step = {row["off"]: row for row in rows if row["scene"] == "shard" and row["method"] == "svgf+"}
     assert by_step["a-trous"]["relmse"] != by_step["whole"]["relmse"]
+    still = {row["off"]: row for row in rows if row["scene"] == "shard, still"}
+    assert still["all history"]["relmse"] > 2.0 * still["whole"]["relmse"]
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + len(rows)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert_refused(run("bench", "ablation", scene_file, *options, "--method", "best"), "Choose one of none, eaw, svgf")
 
 
 def test_every_step_of_the_ablation_is_a_setting() -> None:
-    from svgf.bench.ablation import STEPS
-    from svgf.settings import METHODS, DenoiseSettings
+    from svgf.bench.ablation import STEPS, STILL_STEPS, changed
+    from svgf.settings import METHODS, DenoiseSettings, PlusStep, Settings
 
     assert set(STEPS) == set(METHODS)
-    for steps in STEPS.values():
-        for changes in steps.values():
-            assert DenoiseSettings(**changes) != DenoiseSettings()
+    rows = [(method, changes) for method, steps in STEPS.items() for changes in steps.values()]
+    rows += [("svgf+", changes) for changes in STILL_STEPS.values()]
+    for method, changes in rows:
+        assert changed(Settings(), method, changes) != Settings(method=method)
+    switched = [changes.get("steps", int(DenoiseSettings().steps)) for _, changes in rows]
+    assert all(any(not steps & step for steps in switched) for step in PlusStep)
 
 
 def test_bench_stages(scene_file: Path, tmp_path: Path) -> None:

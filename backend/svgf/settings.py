@@ -25,6 +25,13 @@ class PlusStep(enum.IntFlag):
     BOTH_VARIANCES = 4
     GLOSS = 8
     HAND_OVER = 16
+    HISTORY = 32
+    TESTED_TAPS = 64
+    INTERPOLATION = 128
+    PLANE_SLOPE = 256
+    MEAN_DRIFT = 512
+    PREFILTER = 1024
+    CATMULL_ROM = 2048
 
 
 def _setting(
@@ -80,7 +87,7 @@ class DenoiseSettings:
     )  # fmt: skip
     history_frames: float = _setting(
         20.0, 1.0, 4096.0,
-        "svgf+: longest history where something moves; what stands still has no limit. 1: no history.", unit="frames",
+        "svgf+: longest history where something moves; what stands still has no limit.", unit="frames",
     )  # fmt: skip
     history_seconds: float = _setting(
         0.0, 0.0, 3600.0,
@@ -136,7 +143,7 @@ class DenoiseSettings:
         unit="frames",
     )  # fmt: skip
     steps: int = _setting(
-        31, 0, 31,
+        4095, 0, 4095,
         "svgf+: a bit for each step that no other setting switches off, to measure what it gives; see PlusStep.",
     )  # fmt: skip
     eaw_sigma_color: float = _setting(

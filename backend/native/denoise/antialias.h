@@ -11,19 +11,15 @@
 //
 // Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness, times 16
 // where something moves: fireflies that are left do not flicker, at any exposure, and what is not that bright keeps its
-// light. What stands still is averaged as it is. Measured on the middle half of an arcade, our own tracer's, that few
-// samples light, and of Cycles' gallery of temporal_plus.h, frames 5 to 10; relMSE, FLIP and flicker over those of OIDN
+// light. What stands still is averaged as it is. History of what moves is read by Catmull-Rom, as a mean of four
+// pixels, frame after frame, would blur it. Measured on whole pictures of 480x270 at 1 sample per pixel, from the fifth
+// frame on: our own tracer's arcade, and Cycles' gallery and teapots; relMSE, FLIP and flicker over those of OIDN
 // 2.5.1, and the mean over the truth's:
 //
-//   w times 1      1.16 1.41 .907 0.919     1.38 .815 .660 0.929
-//   w times 16     1.12 1.16 .830 0.957     1.71 .795 .661 0.944
-//   linear         1.17 1.13 .845 0.962     1.83 .792 .663 0.947
-//
-// History of what moves is read by Catmull-Rom, as a mean of four pixels, frame after frame, would blur it: relMSE and
-// FLIP of the arcade, that gallery and Cycles' teapots, frames 5, 8, 12 and 16 (10), over those of OIDN 2.5.1:
-//
-//   bilinear       1.12 .976     1.06 .785     2.57 .831
-//   Catmull-Rom    1.09 .970     0.99 .782     2.09 .817
+//   as it is       0.95 .862 .686 0.977     0.97 .784 .693 0.925     1.67 .810 .416 0.989
+//   w times 1      0.91 .986 .735 0.950     0.89 .810 .697 0.915     1.19 .823 .421 0.973
+//   linear         1.02 .846 .689 0.982     1.00 .783 .694 0.927     2.84 .812 .421 0.995
+//   bilinear       1.01 .872 .686 0.974     1.05 .789 .696 0.925     2.17 .826 .420 0.988
 //
 // The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
@@ -100,6 +96,7 @@ struct Antialias : Tiles {
     typename Storage::Moments in_moments[Signals];  // of temporal
     const float* in_emission;
     float antialias_frames, still_frames;  // still_frames: see hand_over_frames
+    bool is_catmull_rom;  // see PlusStep
     typename Storage::Color out_history;
     float* out_color;  // [H, W, 3]
 
@@ -150,14 +147,14 @@ private:
         Vec3 mapped;
         float frames = 0.0f;
     };
-    // Weights of four pixels in a row for a place between the middle two, and linear ones of these.
+    // Weights of four pixels in a row for a place between the middle two: Catmull-Rom, and linear ones.
     struct Cubic {
-        float weight[4], linear[2];
+        float weight[4], linear[4];
 
         SVGF_HD explicit Cubic(float t)
             : weight{0.5f * t * ((2.0f - t) * t - 1.0f), 1.0f + t * t * (1.5f * t - 2.5f),
                      0.5f * t * ((4.0f - 3.0f * t) * t + 1.0f), 0.5f * t * t * (t - 1.0f)},
-              linear{1.0f - t, t} {}
+              linear{0.0f, 1.0f - t, t, 0.0f} {}
     };
 
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
@@ -282,7 +279,7 @@ private:
         return is_finite(m[0]) && is_finite(m[1]) ? Vec3{m[0], m[1], 0.0f} : Vec3{-infinity, -infinity, 0.0f};
     }
 
-    // Inside the frame. Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
+    // Inside the frame.
     SVGF_HD History read_history(float px, float py, const Box& box) const {
         const int left = int(px), top = int(py);
         if (px == float(left) && py == float(top)) {
@@ -290,6 +287,13 @@ private:
             return {own.xyz(), box.map(with_brightness(own.xyz())), fast_sqrt(own.w)};
         }
         const Cubic columns(px - float(left)), rows(py - float(top));
+        return is_catmull_rom ? read_between<true>(left, top, columns, rows, box)
+                              : read_between<false>(left, top, columns, rows, box);
+    }
+
+    // Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
+    template <bool IsCatmullRom>
+    SVGF_HD History read_between(int left, int top, const Cubic& columns, const Cubic& rows, const Box& box) const {
         History history;
         Vec3 least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
         float total = 0.0f;
@@ -299,8 +303,9 @@ private:
             SVGF_UNROLL
             for (int i = 0; i < 4; ++i) {
                 const bool is_beside = i == 0 || i == 3, is_above = j == 0 || j == 3;
-                if (is_beside && is_above) continue;
-                const float share = columns.weight[i] * rows.weight[j];
+                if (IsCatmullRom ? is_beside && is_above : is_beside || is_above) continue;
+                const float linear = columns.linear[i] * rows.linear[j];
+                const float share = IsCatmullRom ? columns.weight[i] * rows.weight[j] : linear;
                 const Vec4 tap = hist_color[guides.nearest_pixel(left + i - 1, top + j - 1)];
                 const Vec3 mapped = box.map(with_brightness(tap.xyz()));
                 total += share;
@@ -308,7 +313,7 @@ private:
                 if (is_beside || is_above) continue;
                 least = min(least, mapped);
                 most = max(most, mapped);
-                history.frames += columns.linear[i - 1] * rows.linear[j - 1] * fast_sqrt(tap.w);
+                history.frames += linear * fast_sqrt(tap.w);
             }
         history.mapped = min(max(history.mapped * fast_reciprocal(total), least), most);
         return history;

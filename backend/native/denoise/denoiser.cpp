@@ -168,9 +168,9 @@ NoisyFrame<Signals> Denoiser::noisy_frame(const DenoiseInputs& inputs) const {
     frame.in_depth = inputs.depth;
     frame.in_depth_gradient = inputs.depth_gradient;
     frame.in_object_id = inputs.object_id;
-    if (method_ == DenoiseMethod::svgf_plus && inputs.is_specular[Signals - 1] &&
-        settings_.has(PlusStep::gloss))
-        frame.in_roughness = inputs.roughness;
+    if (method_ != DenoiseMethod::svgf_plus) return frame;
+    if (!settings_.has(PlusStep::plane_slope)) frame.in_depth_gradient = nullptr;
+    if (inputs.is_specular[Signals - 1] && settings_.has(PlusStep::gloss)) frame.in_roughness = inputs.roughness;
     return frame;
 }
 
@@ -227,6 +227,10 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.image_height = height_;
     stage.frame = noisy_frame<Signals>(inputs);
     stage.reprojection = reprojection<Storage>(inputs);
+    if (!settings_.has(PlusStep::history)) stage.reprojection.prev_guides = {};
+    stage.reprojection.tests_taps = settings_.has(PlusStep::tested_taps);
+    stage.reprojection.interpolates = settings_.has(PlusStep::interpolation);
+    stage.has_mean_drift = settings_.has(PlusStep::mean_drift);
     stage.out_guides = guides_of<Storage>(guides_);
     stage.out_gradients = gradients<Storage>();
     stage.out_history_length = history_length;
@@ -281,6 +285,7 @@ void Denoiser::antialias(const DenoiseInputs& inputs, const Modulate<PackedStora
     stage.in_emission = inputs.emission;
     stage.antialias_frames = settings_.antialias_frames;
     stage.still_frames = settings_.has(PlusStep::hand_over) ? hand_over_frames : largest_float;
+    stage.is_catmull_rom = settings_.has(PlusStep::catmull_rom);
     stage.out_history = {previous_guides_.data()};
     stage.out_color = modulate.out_color;
     launch_tiles("modulate+antialias", stage);
@@ -316,6 +321,7 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         constexpr bool plus = std::is_same_v<Method, Plus>;
         stage.sigma_normal = plus ? settings_.plus_sigma_normal : settings_.sigma_normal;
         stage.sigma_luminance = plus ? settings_.plus_sigma_luminance : settings_.sigma_luminance;
+        stage.has_prefilter = settings_.has(PlusStep::prefilter);
         for (int s = 0; s < Signals; ++s) {
             stage.in_color[s] = color_of<Storage>(from, s);
             stage.has_reflections[s] = has_reflections_[s];

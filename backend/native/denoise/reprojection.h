@@ -23,6 +23,7 @@ struct Reprojection {
     const float* in_motion = nullptr;              // null: nothing moved
     int motion_channels = 0;
     float depth_tolerance = 0.0f, normal_tolerance = 0.0f;
+    bool tests_taps = true, interpolates = true;  // see PlusStep
 
     struct Point {
         float x = 0.0f, y = 0.0f;  // pixels, 0 = centre of the first one
@@ -72,7 +73,11 @@ struct Reprojection {
     };
     SVGF_HD Taps weigh(const Point& point) const {
         const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
-        const float fx = point.x - float(left), fy = point.y - float(top);
+        float fx = point.x - float(left), fy = point.y - float(top);
+        if (!interpolates) {
+            fx = std::floor(fx + 0.5f);
+            fy = std::floor(fy + 0.5f);
+        }
         Taps taps;
         float total = 0.0f;
         SVGF_UNROLL
@@ -138,8 +143,9 @@ private:
     SVGF_HD bool accepts(int x, int y, const Point& point) const {
         // Without a branch the reads of several taps are under way together.
         const Comparison tap = compare(x, y, point);
-        return bool(int(prev_guides.contains(x, y)) & int(tap.same_object) & int(tap.cosine >= normal_tolerance) &
-                    int(std::fabs(tap.depth_error) <= point.tolerance));
+        const int is_same = int(tap.same_object) & int(tap.cosine >= normal_tolerance) &
+                            int(std::fabs(tap.depth_error) <= point.tolerance);
+        return bool(int(prev_guides.contains(x, y)) & (is_same | int(!tests_taps)));
     }
 };
 

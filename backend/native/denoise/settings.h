@@ -30,7 +30,7 @@ namespace svgf {
     SETTING(normal_tolerance, float, 0.9, -1.0, 1.0, "cosine", "",                                                     \
             "Reprojection accepts history whose normal has at least this cosine with the new one.")                    \
     SETTING(history_frames, float, 20.0, 1.0, 4096.0, "frames", "",                                                    \
-            "svgf+: longest history where something moves; what stands still has no limit. 1: no history.")            \
+            "svgf+: longest history where something moves; what stands still has no limit.")                           \
     SETTING(history_seconds, float, 0.0, 0.0, 3600.0, "s", "",                                                         \
             "svgf+: the same in seconds, so that lag is the same at any frame_rate. 0: history_frames counts.")        \
     SETTING(frame_rate, float, 24.0, 0.01, 1e5, "frames/s", "",                                                        \
@@ -55,7 +55,7 @@ namespace svgf {
             "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \
     SETTING(antialias_frames, float, 3.5, 1.0, 1024.0, "frames", "",                                                   \
             "svgf+: frames over which the picture is resolved where something moves. 1: not at all.")                  \
-    SETTING(steps, int, 31, 0, 31, "", "",                                                                             \
+    SETTING(steps, int, 4095, 0, 4095, "", "",                                                                         \
             "svgf+: a bit for each step that no other setting switches off, to measure what it gives; see PlusStep.")  \
     SETTING(eaw_sigma_color, float, 4.0, 1e-6, 1e6, "demodulated radiance", "sigma_rt",                                \
             "Colour differences that count as noise at level 0; halved at each level.")                                \
@@ -64,13 +64,20 @@ namespace svgf {
     SETTING(eaw_sigma_position, float, 0.3, 1e-6, 1e6, "m", "sigma_x",                                                 \
             "Distance between world positions that the filter crosses.")
 
-// Bits of `steps`. All are looked at before a launch, so that no kernel pays for them.
+// Bits of `steps`. They are looked at before a launch, or by a branch that all pixels take alike.
 enum class PlusStep : int {
-    local_mean = 1,      // diffuse light begins with the mean of the 3x3 samples
-    structure = 2,       // what looks like the border of a reflection is no noise
-    both_variances = 4,  // Eq. 5 over the larger variance of both pixels
-    gloss = 8,           // rough reflections are filtered as diffuse light
-    hand_over = 16       // what stands still goes over to the mean of the noisy frames
+    local_mean = 1,       // diffuse light begins with the mean of the 3x3 samples
+    structure = 2,        // what looks like the border of a reflection is no noise
+    both_variances = 4,   // Eq. 5 over the larger variance of both pixels
+    gloss = 8,            // rough reflections are filtered as diffuse light
+    hand_over = 16,       // what stands still goes over to the mean of the noisy frames
+    history = 32,         // frames are averaged over time
+    tested_taps = 64,     // history is read where it saw the same surface, else wherever it was
+    interpolation = 128,  // history is read between four pixels, else from the nearest
+    plane_slope = 256,    // depth gradients are those of the surface's plane, else differences of depth
+    mean_drift = 512,     // changes of light are told by the mean of the 3x3 samples, else by the pixel's own
+    prefilter = 1024,     // the variance is prefiltered at the first level
+    catmull_rom = 2048    // how the resolved picture is read where something moves, else bilinear
 };
 
 struct DenoiseSettings {

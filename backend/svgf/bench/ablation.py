@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each step of a denoiser gives: error and milliseconds with the step switched off, beside the whole method.
+"""What each step of a denoiser gives and costs: error and milliseconds with the step switched off, beside the whole
+method.
 
-All rows denoise the same noisy frames and are compared with the same converged images, traced with another seed. Errors
-are means over the measured frames; times are medians of the denoiser's stages alone, as the device reports them.
+All rows of a scene denoise the same noisy frames and are compared with the same converged images, which are traced
+once, with another seed. Errors are means over the measured frames. What is done where nothing moves is measured on the
+last of them alone, standing still. Times are medians of the denoiser alone, on made-up inputs with two signals
+(bench.denoise): they do not depend on the scene, and at the size that scenes are compared at, a GPU would mostly wait.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
+import os
 import statistics
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,17 +28,19 @@ from ..renderer import Renderer
 from ..scene import Scene
 from ..settings import DenoiseSettings, PlusStep, Settings
 from .accuracy import count_unmeasured
+from .denoise import ALL, time_stages, upload_inputs
 
 WHOLE = "whole"
-_STEPS = {
-    PlusStep.LOCAL_MEAN: "3x3 mean of new light",
-    PlusStep.STRUCTURE: "variance without structure",
-    PlusStep.BOTH_VARIANCES: "both pixels' variances",
-    PlusStep.GLOSS: "gloss",
-    PlusStep.HAND_OVER: "hand-over to noisy frames",
-}
+# Fields of DenoiseSettings, or else of Settings.
+Changes = dict[str, Any]
+
+
+def _without(step: PlusStep, **changes: float) -> Changes:
+    return {"steps": int(DenoiseSettings().steps & ~step), **changes}
+
+
 # Per method: what is switched off, and the settings that do it.
-STEPS: dict[str, dict[str, dict[str, float]]] = {
+STEPS: dict[str, dict[str, Changes]] = {
     "none": {},
     "eaw": {
         "colour weight": {"eaw_sigma_color": 1e6},
@@ -39,19 +48,33 @@ STEPS: dict[str, dict[str, dict[str, float]]] = {
         "position weight": {"eaw_sigma_position": 1e6},
     },
     "svgf+": {
-        "temporal mean": {"history_frames": 1.0},
-        "firefly limit": {"firefly_limit": 1e9},
+        "temporal mean": _without(PlusStep.HISTORY),
+        "tested taps": _without(PlusStep.TESTED_TAPS),
+        "interpolated history": _without(PlusStep.INTERPOLATION),
+        "plane's depth slope": _without(PlusStep.PLANE_SLOPE),
         "history fix": {"history_fix_radius": 1},
+        "firefly limit": {"firefly_limit": 1e9},
         "temporal gradient": {"change_threshold": 1e6, "specular_change_threshold": 1e6},
+        # One sample strays more than nine do.
+        "3x3 mean in gradient": _without(
+            PlusStep.MEAN_DRIFT, change_threshold=0.45, specular_change_threshold=0.45
+        ),
         "history clamp": {"history_clamp": 1e6, "specular_history_clamp": 1e6},
+        "3x3 mean of new light": _without(PlusStep.LOCAL_MEAN),
+        "specular signal": {"signals": "direct_indirect"},
         "specular sharpness": {"specular_sharpness": 1.0},
-        **{_STEPS[step]: {"steps": int(DenoiseSettings().steps & ~step)} for step in PlusStep},
-        "antialias": {"antialias_frames": 1.0},
+        "structure is no noise": _without(PlusStep.STRUCTURE),
+        "gloss": _without(PlusStep.GLOSS),
+        "both variances": _without(PlusStep.BOTH_VARIANCES),
+        "variance prefilter": _without(PlusStep.PREFILTER),
         "depth weight": {"sigma_depth": 1e6},
         "normal weight": {"plus_sigma_normal": 1e-3},
         "luminance weight": {"plus_sigma_luminance": 1e6},
         "a-trous levels 3 to 5": {"levels": 2},
         "a-trous": {"levels": 0},
+        "jitter": {"pixel_filter": "center"},
+        "antialias": {"antialias_frames": 1.0},
+        "Catmull-Rom": _without(PlusStep.CATMULL_ROM),
     },
     "svgf": {
         "temporal mean": {"alpha": 1.0},
@@ -63,12 +86,26 @@ STEPS: dict[str, dict[str, dict[str, float]]] = {
         "a-trous": {"levels": 0},
     },
 }
-_BEFORE_DENOISING = ("update", "gbuffer", "path")
+# Of svgf+, where nothing moves; and the frames until then.
+STILL_STEPS: dict[str, Changes] = {
+    "hand-over to noisy": _without(PlusStep.HAND_OVER),
+    "antialias": {"antialias_frames": 1.0},
+    "all history": _without(PlusStep.HISTORY, antialias_frames=1.0),
+}
+STILL_FRAMES = 64
+NOTES = (
+    "Without a row: variance that never cancels (a sum of squares about a mean: there is no other to switch to);"
+    " virtual hits (measured and refused, backend/native/denoise/temporal_plus.h); sky, emission, transmission, alpha"
+    " and thin geometry (without what handles them the picture would be wrong).",
+    "The temporal gradient and the history clamp are there for light that changes, which in these scenes it hardly"
+    " does: tests/test_quality.py switches lamps.",
+)
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """One scene denoised with one step off, or with all ("whole"). Errors: as ``svgf.metrics`` defines them."""
+    """One scene denoised with one step off, or with all ("whole"). Errors: as ``svgf.metrics`` defines them.
+    milliseconds: of a frame, whatever the scene."""
 
     scene: str
     method: str
@@ -79,9 +116,45 @@ class Ablation:
     milliseconds: float
 
 
-def rows_of(methods: Sequence[str]) -> list[tuple[str, str, dict[str, float]]]:
+def rows_of(methods: Sequence[str]) -> list[tuple[str, str, Changes]]:
     """(method, what is off, settings) of each row, the whole method first."""
     return [(method, off, changes) for method in methods for off, changes in {WHOLE: {}, **STEPS[method]}.items()]
+
+
+def still_rows_of(methods: Sequence[str]) -> list[tuple[str, str, Changes]]:
+    """As ``rows_of``, where nothing moves."""
+    changes_of = {WHOLE: {}, **STILL_STEPS}
+    return [("svgf+", off, changes) for off, changes in changes_of.items()] if "svgf+" in methods else []
+
+
+def frames_of(methods: Sequence[str], frames: int) -> int:
+    """How many frames ``measure`` renders of a scene that has so many."""
+    return frames * len(rows_of(methods)) + STILL_FRAMES * len(still_rows_of(methods))
+
+
+def changed(settings: Settings, method: str, changes: Changes) -> Settings:
+    """The settings of a row."""
+    names = {field.name for field in dataclasses.fields(DenoiseSettings)}
+    denoise = {name: value for name, value in changes.items() if name in names}
+    others = {name: value for name, value in changes.items() if name not in names}
+    return replace(settings, method=method, denoise=replace(settings.denoise, **denoise), **others)
+
+
+def measure_times(
+    device: Device, size: tuple[int, int], methods: Sequence[str] = tuple(STEPS), frames: int = 16, warm_up: int = 4
+) -> dict[tuple[str, str], float]:
+    """Milliseconds by method and what is off."""
+    inputs = {
+        signals: upload_inputs(device, size, 2, signals.split("_"))
+        for signals in ("diffuse_specular", "direct_indirect")
+    }
+    result = {}
+    for method, off, changes in (*rows_of(methods), *still_rows_of(methods)):
+        settings = changed(Settings(*size), method, changes)
+        denoiser = device.denoiser(*size, method, settings.denoise.as_dict())
+        times = time_stages(device, denoiser, inputs[settings.signals], frames, warm_up)
+        result[method, off] = statistics.median(times[ALL])
+    return result
 
 
 def measure(
@@ -90,29 +163,65 @@ def measure(
     name: str,
     scenes: Sequence[Scene],
     references: Sequence[np.ndarray],
+    milliseconds: dict[tuple[str, str], float],
     methods: Sequence[str] = tuple(STEPS),
     render: Callable[[Renderer, Scene], Frame] = Renderer.render,
     step: Callable[[], None] | None = None,
 ) -> list[Ablation]:
     """scenes: consecutive frames; the last len(references) of them are measured, against one reference each. name: what
-    the rows call the scene. step: called after each frame. Raises InputError with fewer than two references."""
+    the rows call the scene. milliseconds: of ``measure_times``. step: called after each frame. Raises InputError with
+    fewer than two references."""
     unmeasured = count_unmeasured(name, scenes, references)
-    result = []
-    for method, off, changes in rows_of(methods):
-        changed = replace(settings, method=method, denoise=dataclasses.replace(settings.denoise, **changes))
-        renderer = Renderer(changed, device)
-        errors, milliseconds, flicker = [], [], Flicker()
-        for index, scene in enumerate(scenes):
+    still = [scenes[-1].at_rest()] * STILL_FRAMES
+    cases = [
+        *((name, *row, scenes, references) for row in rows_of(methods)),
+        *((f"{name}, still", *row, still, [references[-1]] * 2) for row in still_rows_of(methods)),
+    ]
+
+    def denoise(frames: Sequence[Scene], row_settings: Settings, measured: int) -> list[np.ndarray]:
+        renderer, images = Renderer(row_settings, device), []
+        for index, scene in enumerate(frames):
             frame = render(renderer, scene)
-            if index >= unmeasured:
-                reference = references[index - unmeasured]
-                errors.append((relative_mse(frame.color, reference), flip(frame.color, reference)))
-                flicker.add(frame.color, reference)
-                milliseconds.append(sum(ms for stage, ms in frame.timings.items() if stage not in _BEFORE_DENOISING))
+            if index >= len(frames) - measured:
+                images.append(frame.color)
             if step:
                 step()
-        means = map(float, np.mean(errors, axis=0))
-        result.append(Ablation(name, method, off, *means, flicker.value, statistics.median(milliseconds)))
+        return images
+
+    # FLIP takes longer than rendering does, on one processor: other processes compare while frames are rendered.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max(1, (os.cpu_count() or 1) - 1), context) as pool:
+        errors = [
+            pool.submit(
+                _errors, denoise(frames, changed(settings, method, changes), len(truths)), list(truths)
+            )
+            for _, method, _, changes, frames, truths in cases
+        ]
+        return [
+            Ablation(scene, method, off, *error.result(), milliseconds[method, off])
+            for (scene, method, off, *_), error in zip(cases, errors, strict=True)
+        ]
+
+
+def _errors(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> tuple[float, float, float]:
+    """relMSE and FLIP, means over the frames, and flicker."""
+    errors, flicker = [], Flicker()
+    for image, reference in zip(images, references, strict=True):
+        errors.append((relative_mse(image, reference), flip(image, reference)))
+        flicker.add(image, reference)
+    relmse, seen = map(float, np.mean(errors, axis=0))
+    return relmse, seen, flicker.value
+
+
+def gains(rows: Sequence[Ablation]) -> list[tuple[float, float, float, float]]:
+    """For each row how many times relMSE, FLIP and flicker of the whole method are left without the step, and the
+    milliseconds that the step takes."""
+    whole = {(row.scene, row.method): row for row in rows if row.off == WHOLE}
+    result = []
+    for row in rows:
+        on = whole[row.scene, row.method]
+        ratios = (getattr(row, metric) / max(getattr(on, metric), 1e-12) for metric in ("relmse", "flip", "flicker"))
+        result.append((*ratios, on.milliseconds - row.milliseconds))
     return result
 
 
@@ -124,22 +233,19 @@ def plot(rows: Sequence[Ablation], title: str) -> bytes:
 
     scenes = list(dict.fromkeys(row.scene for row in rows))
     steps = list(dict.fromkeys((row.method, row.off) for row in rows if row.off != WHOLE))
-    of = {(row.scene, row.method, row.off): row for row in rows}
-    figure = Figure(figsize=(3.2 * len(scenes) + 2.5, 0.3 * len(steps) + 1.6), layout="constrained")
+    of = {(row.scene, row.method, row.off): gain for row, gain in zip(rows, gains(rows), strict=True)}
+    figure = Figure(figsize=(2.6 * len(scenes) + 2.5, 0.3 * len(steps) + 1.6), layout="constrained")
     figure.suptitle(title, fontsize="medium")
+    places = np.arange(len(steps))[::-1]
     for column, scene in enumerate(scenes):
         axes = figure.add_subplot(1, len(scenes), column + 1)
-        for shift, metric in ((0.25, "relmse"), (0.0, "flip"), (-0.25, "flicker")):
-            ratios = [
-                getattr(of[scene, method, off], metric) / max(getattr(of[scene, method, WHOLE], metric), 1e-12)
-                for method, off in steps
-            ]
-            axes.barh(np.arange(len(steps))[::-1] + shift, ratios, 0.22, label=metric)
+        for index, metric in enumerate(("relmse", "flip", "flicker")):
+            ratios = [of[scene, *step][index] if (scene, *step) in of else np.nan for step in steps]
+            axes.barh(places + 0.25 - 0.25 * index, ratios, 0.22, label=metric)
         axes.axvline(1.0, color="black", linewidth=0.8)
         axes.set_xscale("log")
-        axes.set_yticks(
-            np.arange(len(steps))[::-1], [f"{method} without {off}" for method, off in steps] if column == 0 else []
-        )
+        axes.set_yticks(places, [f"{method} without {off}" for method, off in steps] if column == 0 else [])
+        axes.set_ylim(-0.7, len(steps) - 0.3)
         axes.set_title(scene)
         axes.set_xlabel("error over that of the whole method")
         axes.grid(axis="x", which="both", alpha=0.25)

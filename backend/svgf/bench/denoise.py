@@ -86,8 +86,11 @@ def growths(costs: Sequence[StageCost]) -> list[Growth]:
     ]
 
 
-def make_inputs(width: int, height: int, signals: int, seed: int = 1) -> dict[str, np.ndarray]:
-    """A frame as ``Denoiser.denoise`` takes it, one or two signals; about a tenth of it sky. seed: of the noise."""
+def make_inputs(
+    width: int, height: int, signals: int, seed: int = 1, names: Sequence[str] = ("diffuse", "specular")
+) -> dict[str, np.ndarray]:
+    """A frame as ``Denoiser.denoise`` takes it, one or two signals by these names; about a tenth of it sky. seed: of
+    the noise."""
     rng, noise_rng = np.random.default_rng(0), np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width].astype(np.float32)
     u, v = x / width, y / height
@@ -110,11 +113,11 @@ def make_inputs(width: int, height: int, signals: int, seed: int = 1) -> dict[st
     inputs = {"normal": normal, "depth": depth, "depth_gradient": gradient, "object_id": object_id}
     inputs["motion"] = np.broadcast_to(np.float32([0.5, 0.25, 0.0]), (height, width, 3)).copy()
     inputs["emission"] = np.where(sky[..., None], np.float32([0.4, 0.6, 0.9]), np.float32(0.0))
-    for name in ("diffuse", "specular")[:signals]:
+    for name, albedo_name in list(zip(names, ("diffuse_albedo", "specular_albedo"), strict=True))[:signals]:
         albedo = 0.2 + 0.6 * ((np.floor(u * 64) + np.floor(v * 36)) % 2).astype(np.float32)
-        inputs[f"{name}_albedo"] = np.repeat(albedo[..., None], 3, axis=-1)
+        inputs[albedo_name] = np.repeat(albedo[..., None], 3, axis=-1)
         noise = noise_rng.standard_exponential((height, width, 1), dtype=np.float32) ** 2
-        inputs[name] = np.where(sky[..., None], np.float32(0.0), inputs[f"{name}_albedo"] * noise)
+        inputs[name] = np.where(sky[..., None], np.float32(0.0), inputs[albedo_name] * noise)
     return {name: np.ascontiguousarray(image) for name, image in inputs.items()}
 
 
@@ -139,21 +142,8 @@ def measure(
             "Use cuda or cpu, at least one frame, one signal or two.",
         )
     width, height = size
-    noise = [
-        {name: device.upload(image) for name, image in make_inputs(width, height, signals, seed).items()}
-        for seed in range(1, 3)
-    ]
     denoiser: Any = device.denoiser(width, height, method, (settings or DenoiseSettings()).as_dict())
-    samples: dict[str, list[float]] = {}
-    for index in range(warm_up + frames):
-        device.take_timings()
-        denoiser.denoise(noise[index % 2], reset=False)
-        timings = device.take_timings()
-        if index >= warm_up:
-            for stage, milliseconds in {**timings, ALL: sum(timings.values())}.items():
-                samples.setdefault(stage, []).append(milliseconds)
-        if step:
-            step()
+    samples = time_stages(device, denoiser, upload_inputs(device, size, signals), frames, warm_up, step)
     traffic = denoiser.traffic()
     traffic[ALL] = sum(traffic.values())
     # Far more than any cache holds.
@@ -172,6 +162,37 @@ def measure(
         for name, size_bytes in denoiser.buffers()
     ]
     return costs, buffers
+
+
+def upload_inputs(
+    device: Device, size: tuple[int, int], signals: int, names: Sequence[str] = ("diffuse", "specular")
+) -> list[dict[str, Any]]:
+    """Two frames of ``make_inputs`` that differ in their noise, on the device."""
+    frames = [make_inputs(*size, signals, seed, names) for seed in range(1, 3)]
+    return [{name: device.upload(image) for name, image in frame.items()} for frame in frames]
+
+
+def time_stages(
+    device: Device,
+    denoiser: Any,
+    inputs: Sequence[dict[str, Any]],
+    frames: int,
+    warm_up: int,
+    step: Callable[[], None] | None = None,
+) -> dict[str, list[float]]:
+    """Milliseconds of each stage, and ALL, in so many frames after the first warm_up. inputs: taken in turns. step:
+    called after each frame."""
+    samples: dict[str, list[float]] = {}
+    for index in range(warm_up + frames):
+        device.take_timings()
+        denoiser.denoise(inputs[index % len(inputs)], reset=False)
+        timings = device.take_timings()
+        if index >= warm_up:
+            for stage, milliseconds in {**timings, ALL: sum(timings.values())}.items():
+                samples.setdefault(stage, []).append(milliseconds)
+        if step:
+            step()
+    return samples
 
 
 def plot(costs: Sequence[StageCost], title: str) -> bytes:

@@ -40,7 +40,7 @@ def accuracy(
 
     variants = [variant for variant in VARIANTS if not quick or variant[1] == 1]
     title, rows = _measure_scenes(
-        files, size, device, frames, first, reference_spp, len(variants),
+        files, size, device, frames, first, reference_spp, lambda count: count * len(variants),
         lambda opened, *scene, **progress: measure(opened, *scene, variants, **progress),
     )  # fmt: skip
     lines = [
@@ -60,34 +60,51 @@ def ablation(
     size: ImageSizeOption = "480x270",
     device: DeviceOption = "auto",
     methods: MethodsOption = None,
-    frames: FramesOption = "1-16",
+    frames: FramesOption = "1-12",
     first: FirstOption = 5,
-    reference_spp: ReferenceOption = 1024,
+    reference_spp: ReferenceOption = 512,
+    timed_size: Annotated[
+        str | None,
+        typer.Option(
+            "--timed-size", metavar="WxH", show_default=False,
+            help="Pixels of the frames that are timed. Default: 1920x1080 on a GPU, else --size.",
+        ),
+    ] = None,
     csv_file: CsvOption = None,
     plot_file: PlotOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
-    from ..bench.ablation import STEPS, WHOLE, measure, plot, rows_of
+    from ..bench.ablation import NOTES, STEPS, WHOLE, frames_of, gains, measure, measure_times, plot
+    from ..devices import open_device
     from ..settings import check_name
 
     chosen = methods or list(STEPS)
     for method in chosen:
         check_name("The method", method, tuple(STEPS))
+    opened = open_device(device)
+    timed = timed_size or ("1920x1080" if opened.name == "cuda" else size)
+    times = measure_times(opened, parse_size(timed), chosen)
     title, rows = _measure_scenes(
-        files, size, device, frames, first, reference_spp, len(rows_of(chosen)),
-        lambda opened, *scene, **progress: measure(opened, *scene, chosen, **progress),
+        files, size, device, frames, first, reference_spp, lambda count: frames_of(chosen, count),
+        lambda opened, *scene, **progress: measure(opened, *scene, times, chosen, **progress),
     )  # fmt: skip
-    lines = [
-        (
-            row.scene, row.method, row.off if row.off != WHOLE else "-",
-            *_four_digits(row.relmse, row.flip, row.flicker, row.milliseconds),
-        )
-        for row in rows
-    ]  # fmt: skip
-    headings = ("scene", "method", "without", "relMSE", "FLIP", "flicker", "ms")
-    figures = table(headings, lines, names=3, section=lambda line: line[:2])
-    publish(title, rows, figures, csv_file=csv_file, plot_file=plot_file, plot=plot, as_json=as_json)
+    title += f"; ms: two signals at {timed}; x: times what is left with every step, ms of a step: what it takes"
+    lines: dict[str, list[tuple[str, ...]]] = {}
+    for row, (*ratios, cost) in zip(rows, gains(rows), strict=True):
+        whole = row.off == WHOLE
+        errors = zip((row.relmse, row.flip, row.flicker), ratios, strict=True)
+        figures = [text for error, ratio in errors for text in (f"{error:.4f}", "" if whole else f"{ratio:.2f}")]
+        milliseconds = f"{row.milliseconds:.3f}" if whole else f"{cost:+.3f}"
+        lines.setdefault(row.scene, []).append((row.method, "-" if whole else row.off, *figures, milliseconds))
+    headings = ("without", "relMSE", "x", "FLIP", "x", "flicker", "x", "ms")
+    tables = [
+        table((scene, *headings), of_scene, names=2, section=lambda line: line[0]) for scene, of_scene in lines.items()
+    ]
+    publish(
+        title, rows, *tables, *NOTES,
+        csv_file=csv_file, plot_file=plot_file, plot=plot, as_json=as_json, notes=NOTES,
+    )  # fmt: skip
 
 
 def _measure_scenes(
@@ -97,11 +114,11 @@ def _measure_scenes(
     frames: str,
     first: int,
     reference_spp: int,
-    runs: int,
+    frames_of: Callable[[int], int],
     measure: Callable[..., Sequence[Any]],
 ) -> tuple[str, list[Any]]:
-    """A title, and the rows of all scenes, each of which measure(device, settings, name, scenes, references, render=,
-    step=) denoises so many times."""
+    """A title, and the rows of all scenes, of which measure(device, settings, name, scenes, references, render=, step=)
+    renders frames_of(its frames) frames."""
     from ..bench.accuracy import converge
     from ..devices import open_device
     from ..settings import Settings
@@ -115,7 +132,7 @@ def _measure_scenes(
         scenes, measured = read_animation(path, frames, first, image_size)
         with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
             references = converge(device, settings, measured, reference_spp, render_frame, bar.step)
-        with progress_bar(f"{path.stem}: denoised", len(scenes) * runs) as bar:
+        with progress_bar(f"{path.stem}: denoised", frames_of(len(scenes))) as bar:
             rows += measure(device, settings, path.stem, scenes, references, render=render_frame, step=bar.step)
     title = f"{device.description} ({device.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
     return title, rows

@@ -26,14 +26,15 @@ _WIDTH = 110  # also in a file or a narrow window: figures are not cut
 def publish(
     title: str,
     rows: Sequence[Any],
-    *tables: Table,
+    *tables: Table | str,
     as_json: bool = False,
     csv_file: Path | None = None,
     plot_file: Path | None = None,
     plot: Callable[[Sequence[Any], str], bytes] | None = None,
     **more: Any,
 ) -> None:
-    """Writes the files that were asked for, then prints the tables, or as JSON the title, the rows and ``more``.
+    """Writes the files that were asked for, then prints the tables and sentences, or as JSON the title, the rows and
+    ``more``.
 
     rows: instances of one dataclass. plot: makes a PNG of rows and title. Raises InputError where a file cannot be
     written.

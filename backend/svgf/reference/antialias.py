@@ -81,7 +81,7 @@ def antialias(
     if history is not None:
         left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
         past_linear = xp.where(reachable[..., None], history.color[top, left], 0.0)  # where nothing moves
-        past, frames = _catmull_rom(map_, history, x, y)
+        past, frames = _between(map_, history, x, y, settings.has(PlusStep.CATMULL_ROM))
         past, frames = xp.where(reachable[..., None], past, 0.0), xp.where(reachable, frames, 0.0)
 
     known = frames > 0.5
@@ -121,9 +121,9 @@ def antialias(
     return Resolved(resolved, n)
 
 
-def _catmull_rom(map_: Any, history: Resolved, x: Any, y: Any) -> tuple[Any, Any]:
-    """The mapped history [H, W, 3] at places inside the frame, without the corners of the 4x4 pixels and never beyond
-    the inner four; and the frames [H, W] in it, bilinear."""
+def _between(map_: Any, history: Resolved, x: Any, y: Any, is_catmull_rom: bool) -> tuple[Any, Any]:
+    """The mapped history [H, W, 3] at places inside the frame: Catmull-Rom without the corners of the 4x4 pixels and
+    never beyond the inner four, or bilinear; and the frames [H, W] in it, bilinear."""
     xp = namespace(x)
     height, width = x.shape
     left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
@@ -136,7 +136,11 @@ def _catmull_rom(map_: Any, history: Resolved, x: Any, y: Any) -> tuple[Any, Any
             0.5 * t * t * (t - 1.0),
         ]
 
-    columns, rows = cubic(x - left), cubic(y - top)
+    def linear(t: Any) -> list[Any]:
+        return [xp.zeros(t.shape), 1.0 - t, t, xp.zeros(t.shape)]
+
+    weights = cubic if is_catmull_rom else linear
+    columns, rows = weights(x - left), weights(y - top)
     between = (x != left) | (y != top)
     total, color, frames = xp.zeros(x.shape), xp.zeros((*x.shape, 3)), xp.zeros(x.shape)
     least, most = xp.full(color.shape, xp.inf), xp.full(color.shape, -xp.inf)

@@ -81,7 +81,8 @@ def atrous_plus(
     less."""
     xp = namespace(guides.depth)
     light = [luminance(c) for c in color]
-    filtered = [prefilter(v, guides) if level == 0 else v for v in variance]
+    prefilters = level == 0 and settings.has(PlusStep.PREFILTER)
+    filtered = [prefilter(v, guides) if prefilters else v for v in variance]
     if not settings.has(PlusStep.BOTH_VARIANCES):
         gloss = [1.0 for _ in color]
     blunt = [xp.broadcast_to(1.0 - (0.0 if g is None else g), guides.depth.shape) for g in gloss]

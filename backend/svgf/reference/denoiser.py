@@ -285,9 +285,9 @@ class Denoiser:
         return sum(repair(light)[0] for light in lights)
 
     def _demodulate(self, inputs: dict[str, Any], signals: list[str]) -> tuple[list[Any], list[Any], Guides, int]:
-        guides, repaired = repair_guides(
-            inputs["normal"], inputs["depth"], inputs.get("depth_gradient"), inputs.get("object_id")
-        )
+        has_slope = self.method != "svgf+" or self.settings.has(PlusStep.PLANE_SLOPE)
+        gradient = inputs.get("depth_gradient") if has_slope else None
+        guides, repaired = repair_guides(inputs["normal"], inputs["depth"], gradient, inputs.get("object_id"))
         color, albedo = [], []
         for signal in signals:
             divisor, bad_albedos = self._albedo(inputs, signal)

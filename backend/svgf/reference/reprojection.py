@@ -20,7 +20,7 @@ UNKNOWN_DEPTH_TOLERANCE = 0.1
 class Reprojection:
     """x, y [H, W]: pixels of the frame before, 0 = centre of the first one. expected_depth [H, W]. known bool [H, W]:
     motion is a number. reachable bool [H, W]: a bilinear tap can lie inside the frame; x and y are 0 elsewhere.
-    repaired: motions of surfaces that were no numbers."""
+    repaired: motions of surfaces that were no numbers. tests_taps, interpolates: see PlusStep."""
 
     guides: Guides
     previous: Guides
@@ -32,14 +32,19 @@ class Reprojection:
     tolerance: float
     normal_tolerance: float
     repaired: int
+    tests_taps: bool = True
+    interpolates: bool = True
 
     def bilinear(self) -> Iterator[tuple[Any, Any, Any]]:
         """(column, row, weight), each [H, W], of the four taps; weight 0 where the tap saw another surface."""
         xp = namespace(self.x)
         left, top = xp.floor(self.x).astype(int), xp.floor(self.y).astype(int)
+        right, below = self.x - left, self.y - top
+        if not self.interpolates:
+            right, below = xp.floor(right + 0.5), xp.floor(below + 0.5)
         for j in (0, 1):
             for i in (0, 1):
-                share = (self.x - left if i else 1.0 - (self.x - left)) * (self.y - top if j else 1.0 - (self.y - top))
+                share = (right if i else 1.0 - right) * (below if j else 1.0 - below)
                 yield left + i, top + j, xp.where(self._accepts(left + i, top + j), share, 0.0)
 
     def neighbours(self, spacing: int = 1) -> Iterator[tuple[Any, Any, Any]]:
@@ -78,6 +83,8 @@ class Reprojection:
     def _accepts(self, column: Any, row: Any) -> Any:
         xp = namespace(self.x)
         pixel = self.compare(column, row)
+        if not self.tests_taps:
+            return pixel.inside
         same = pixel.inside & pixel.same_object & (xp.abs(pixel.depth_error) <= pixel.allowed)
         return same & (pixel.cosine >= self.normal_tolerance)
 

@@ -4,7 +4,7 @@ done otherwise than in [Schied17], and why, stands in native/denoise/temporal_pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..settings import PlusStep
@@ -21,6 +21,8 @@ DRIFT_SPACING = 3
 # Rise of the threshold whenever history has doubled beyond these frames.
 THRESHOLD_RISE = 0.05
 THRESHOLD_FRAMES = 16.0
+# Of the threshold, for light that is less than history says.
+FALL_SHARE = 0.75
 # Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
 YOUNG_FRAMES = 4.0
 # Of a specular sample's variance, what the 3x3 samples say whatever their structure; and what makes the least of four
@@ -87,8 +89,11 @@ def temporal_plus(
     old_color, old_frames, old_variance, expected = [xp.zeros((*shape, 3)) for _ in illumination], none, none, none
     drifts = none
     found, moves, repaired = xp.zeros(shape, bool), xp.zeros(shape, bool), 0
-    if history is not None:
-        point = reproject(guides, history.guides, motion, settings)
+    if history is not None and settings.has(PlusStep.HISTORY):
+        point = replace(
+            reproject(guides, history.guides, motion, settings),
+            tests_taps=settings.has(PlusStep.TESTED_TAPS), interpolates=settings.has(PlusStep.INTERPOLATION),
+        )  # fmt: skip
         repaired = point.repaired
         rows, columns = xp.meshgrid(xp.arange(shape[0]), xp.arange(shape[1]), indexing="ij")
         moves = point.reachable & ((point.x != columns) | (point.y != rows))
@@ -129,6 +134,7 @@ def temporal_plus(
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
         threshold = settings.specular_change_threshold if is_specular[s] else settings.change_threshold
         threshold = (NEVER if unchanged else threshold) + THRESHOLD_RISE * doublings
+        threshold = xp.where(drifts[s] < 0.0, FALL_SHARE, 1.0) * threshold
         kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
@@ -136,7 +142,8 @@ def temporal_plus(
         n = xp.where(moves, xp.minimum(n, settings.longest_history), n)
         variance = old_variance[s] + (spread - old_variance[s]) / n
         deviation = xp.sqrt(xp.maximum(variance, old_variance[s]))
-        residual = (mean_light - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
+        seen = mean_light if settings.has(PlusStep.MEAN_DRIFT) else luminance(sample)
+        residual = (seen - luminance(changed)) / (deviation + 1e-3 * mean_light + 1e-30)
         residual = xp.clip(residual, -LARGEST_RESIDUAL, LARGEST_RESIDUAL)
         drift = drifts[s] + (residual - drifts[s]) * DRIFT_RATE
         # History that is too far from the samples is drawn to them, and counts as shorter.
