@@ -15,7 +15,8 @@
 namespace svgf {
 namespace {
 
-// Splits that are tried per axis. Small nodes are many, and sweeping over the bins is what they cost.
+// Splits that are tried per axis. Small nodes are many, and sweeping over the bins is what they cost. With two or four
+// times as many, bounce rays visit 1 to 3 % fewer nodes of Sponza and up to 2 % more of two other scenes.
 constexpr int most_bins = 16, few_bins = 8;
 constexpr std::uint32_t few_bins_below = 32;
 

@@ -229,7 +229,8 @@ private:
         push_primitives(node.right, primitives);
     }
 
-    // Greedy: the child that lies furthest towards a free corner gets it. -1: free slot.
+    // Greedy: the child that lies furthest towards a free corner gets it. Swapping pairs until the sum of all is at its
+    // best saves bounce rays less than half a percent of their visits. -1: free slot.
     void assign_slots(const Bounds& box, const Children& children, int count,
                       std::array<int, wide_node_children>& child_of_slot) const {
         child_of_slot.fill(-1);
