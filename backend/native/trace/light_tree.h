@@ -13,6 +13,7 @@
 // Before, fewer than 16 lights were chosen by their power, and suns and the environment always.
 #pragma once
 
+#include "core/approximate.h"
 #include "core/load.h"
 #include "core/vec.h"
 #include "scene/flat_scene.h"
@@ -24,10 +25,13 @@ struct Angle {
     float cosine, sine;
 };
 
-SVGF_HD inline Angle angle_between(Vec3 a, Vec3 b) { return {dot(a, b), length(cross(a, b))}; }
+SVGF_HD inline Angle angle_between(Vec3 a, Vec3 b) {
+    const Vec3 sine = cross(a, b);
+    return {dot(a, b), fast_sqrt(dot(sine, sine))};
+}
 
 SVGF_HD inline Angle angle_of(float cosine) {
-    return {cosine, std::sqrt(max(0.0f, (1.0f - cosine) * (1.0f + cosine)))};
+    return {cosine, fast_sqrt(max(0.0f, (1.0f - cosine) * (1.0f + cosine)))};
 }
 
 // max(0, a - b)
@@ -48,19 +52,23 @@ SVGF_HD inline float light_importance(const LightNode& node, Vec3 point, Vec3 no
     const Vec3 from_point = node.low + extent - point;
     const float distance_squared = dot(from_point, from_point), radius_squared = dot(extent, extent);
     // Close to the box its lights are as good as anywhere in it.
-    const float falloff = std::fabs(node.intensity) / max(max(distance_squared, radius_squared), 1e-30f);
+    const float falloff = fast_quotient(std::fabs(node.intensity), max(max(distance_squared, radius_squared), 1e-30f));
     if (distance_squared <= radius_squared) return falloff;
-    const Vec3 direction = from_point / std::sqrt(distance_squared);
+    const float inverse_distance = fast_reciprocal_sqrt(distance_squared);
+    const Vec3 direction = from_point * inverse_distance;
     // The box is seen under at most twice this angle; a little more, for the roundings.
-    const float sin_box = min(1.0f, std::sqrt(radius_squared / distance_squared) * 1.001f + 1e-3f);
-    const Angle box{std::sqrt((1.0f - sin_box) * (1.0f + sin_box)), sin_box};
-    Angle axis = angle_between(node.axis, -direction);
-    if (node.intensity < 0.0f) axis.cosine = std::fabs(axis.cosine);
-    const float cos_light = (axis - angle_of(node.cos_normals) - box).cosine;
-    if (!(cos_light > node.cos_emission)) return 0.0f;
-    const float weight = falloff * max(cos_light, 0.0f);
+    const float sin_box = min(1.0f, fast_sqrt(radius_squared) * inverse_distance * 1.001f + 1e-3f);
+    const Angle box{fast_sqrt((1.0f - sin_box) * (1.0f + sin_box)), sin_box};
+    float weight = falloff;
+    if (node.cos_normals > -1.0f) {
+        Angle axis = angle_between(node.axis, -direction);
+        if (node.intensity < 0.0f) axis.cosine = std::fabs(axis.cosine);
+        const float cos_light = (axis - angle_of(node.cos_normals) - box).cosine;
+        if (!(cos_light > node.cos_emission)) return 0.0f;
+        weight *= max(cos_light, 0.0f);
+    }
     if (!faces_one_way(normal)) return weight;
-    return weight * max((angle_between(normal, direction) - box).cosine, least_cos_receiver);
+    return weight * max((angle_of(dot(normal, direction)) - box).cosine, least_cos_receiver);
 }
 
 // The same of a sun or the environment, which is taken for a sun and for light from all around.
@@ -77,40 +85,35 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
     constexpr float below_one = 0x1.fffffep-1f;
     const int everywhere = lights.everywhere_count, depth = lights.tree_depth;
     int level = min(depth, start_level);
-    const int first_node = (1 << level) - 1, count = lights.nodes ? 1 << level : 0;
-    float node_importance[1 << start_level], total = 0.0f;
-    for (int i = 0; i < everywhere; ++i) total += estimate_irradiance(lights.rows[i], normal);
-    for (int i = 0; i < count; ++i) {
-        // With nothing beside it there is nothing to weigh.
-        node_importance[i] =
-            everywhere + count > 1 ? light_importance(load(lights.nodes + first_node + i), point, normal) : 1.0f;
-        total += node_importance[i];
-    }
-    const auto importance = [&](int i) {
-        return i < everywhere ? estimate_irradiance(lights.rows[i], normal) : node_importance[i - everywhere];
-    };
-
+    const int first_node = (1 << level) - 1, count = everywhere + (lights.nodes ? 1 << level : 0);
     const bool is_given = light >= 0;
     const int leaf = is_given ? lights.rows[light].leaf : -1;
     int start = -1;  // of the lights that are everywhere, and the nodes after them
-    float probability = 0.0f;
-    if (is_given) {
-        start = light < everywhere ? light : leaf >= 0 ? everywhere + (leaf >> (depth - level)) : -1;
-        if (start >= 0) probability = importance(start);
-    } else {
-        float place = u.x * total;
-        for (int i = 0; i < everywhere + count; ++i) {
-            const float width = importance(i);
-            if (!(width > 0.0f)) continue;
-            start = i;
-            probability = width;
-            if (place < width) break;
-            place -= width;
+    if (is_given) start = light < everywhere ? light : leaf >= 0 ? everywhere + (leaf >> (depth - level)) : -1;
+    float width = 0.0f, total = 0.0f;
+    for (int i = count - 1; i >= 0; --i) {
+        float weight = 1.0f;  // with nothing beside it there is nothing to weigh
+        if (i < everywhere)
+            weight = estimate_irradiance(lights.rows[i], normal);
+        else if (count > 1)
+            weight = light_importance(load(lights.nodes + first_node + i - everywhere), point, normal);
+        if (!(weight > 0.0f)) continue;
+        total += weight;
+        if (is_given) {
+            if (i == start) width = weight;
+            continue;
         }
-        u.x = min(place / probability, below_one);
+        // It takes the place of the one before by its share of all so far, so that none has to be kept.
+        const float share = fast_quotient(weight, total);
+        const bool is_taken = u.x < share || start < 0;
+        if (is_taken) {
+            start = i;
+            width = weight;
+        }
+        u.x = clamp(is_taken ? fast_quotient(u.x, share) : fast_quotient(u.x - share, 1.0f - share), 0.0f, below_one);
     }
-    if (!(probability > 0.0f)) return 0.0f;
-    probability /= total;
+    if (!(width > 0.0f)) return 0.0f;
+    float probability = fast_quotient(width, total);
     if (start < everywhere) {
         light = start;
         return probability;
@@ -121,11 +124,11 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
         const float right = light_importance(load(lights.nodes + 2 * node + 2), point, normal);
         const float sum = left + right;
         if (!(sum > 0.0f)) return 0.0f;
-        const float left_share = left / sum;
+        const float left_share = fast_quotient(left, sum);
         float& number = level < steps_of_first ? u.x : u.y;
         const bool goes_left = is_given ? ((leaf >> (depth - 1 - level)) & 1) == 0 : number < left_share;
         const float share = goes_left ? left_share : 1.0f - left_share;
-        number = min((goes_left ? number : number - left_share) / share, below_one);
+        number = min(fast_quotient(goes_left ? number : number - left_share, share), below_one);
         probability *= share;
         node = 2 * node + (goes_left ? 1 : 2);
     }
