@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects
-from svgf.flat_lights import AMBIENT, ENVIRONMENT, TRIANGLE, WEIGHT
+from svgf.flat_lights import AMBIENT, ENVIRONMENT, ENVIRONMENT_FACTOR, TRIANGLE, WEIGHT
 from svgf.flatten import flatten
 from svgf.light_tree import LightBounds, build_light_tree
 from svgf.reference.light_tree import light_importance
@@ -189,7 +189,7 @@ def test_lights_of_all_kinds_are_chosen_by_their_irradiance(point, normal):
 
 
 def test_a_sky_is_weighed_by_the_side_it_shines_from():
-    """Its share of the choice beside a sun: that of its irradiance, for a sky with a sun and for one without."""
+    """Its share of the choice beside a sun: twice that of its irradiance, for a sky with a sun and for one without."""
     floor = (scenes.quad(2.0), scenes.transform(), [scenes.WHITE])
     sun = scenes.lamp(LightKind.SUN, eye=(0, 0, 5), power=(500.0,) * 3, size=(0.0, 0.0))
     rows, columns = np.mgrid[0:32, 0:64]
@@ -208,7 +208,7 @@ def test_a_sky_is_weighed_by_the_side_it_shines_from():
             direction = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
             exact = (excess * area * np.maximum(np.tensordot(normal, direction, 1), 0)).sum()
             stated = lights.choice_probability(np.arange(2), np.zeros((2, 3)), np.tile(normal, (2, 1)))
-            assert stated[1] / stated[0] == pytest.approx(exact / (50.0 * normal[2]), rel=0.35)
+            assert stated[1] / stated[0] == pytest.approx(ENVIRONMENT_FACTOR * exact / (50.0 * normal[2]), rel=0.35)
 
 
 @pytest.mark.parametrize("where", [0.0, 1e6, 1e15])

@@ -23,6 +23,10 @@ AMBIENT, WEIGHT = 21, 22
 # Share of a sun's irradiance that surfaces turned away from it count with: they may have a coat that is not.
 LEAST_AMBIENT = 0.02
 
+# What the samples of an environment bring differs more than what those of one lamp do, so it is chosen as if it were
+# brighter. Least variance, of 1, 2, 3 (and 0.3, 10): in one scene 12 % less than with 1, in another 5 %.
+ENVIRONMENT_FACTOR = 2.0
+
 # Radiance of an area lamp, times its area, over its power.
 AREA_LAMP_RADIANCE = 1.0 / np.pi
 
@@ -168,7 +172,7 @@ def _environment(scene: Scene) -> tuple[_Rows, np.ndarray, np.ndarray]:
         row_cdf, column_cdf, mean, axis = sampling_map(mean_radiance(scene.textures[world.environment]))
     # What is sampled is taken for a sun that sends the directed part of it, and the rest for light from all around, of
     # which a surface gets a quarter.
-    irradiance = float(np.mean(world.radiance)) * mean * 4.0 * np.pi
+    irradiance = ENVIRONMENT_FACTOR * float(np.mean(world.radiance)) * mean * 4.0 * np.pi
     count = int(0.0 < irradiance < np.inf)
     data = np.zeros((count, 24))
     data[:, 9:12] = axis @ np.asarray(world.world_to_environment, dtype=np.float64).reshape(3, 3)
