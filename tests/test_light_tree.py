@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svgf.effects import Effects
-from svgf.flat_lights import AMBIENT, ENVIRONMENT, TRIANGLE, WEIGHT
+from svgf.flat_lights import AMBIENT, ENVIRONMENT, ENVIRONMENT_FACTOR, LARGEST_LEAF, TRIANGLE, WEIGHT
 from svgf.flatten import flatten
 from svgf.light_tree import LightBounds, build_light_tree
 from svgf.reference.light_tree import light_importance
@@ -80,7 +80,7 @@ def lights_beside_the_sky(count: int) -> Lights:
     data = np.zeros((2 + count, 24))
     data[0, 9:12], data[0, AMBIENT], data[0, WEIGHT] = (0.0, 0.6, 0.8), 0.02, 0.3
     data[1, 9:12], data[1, AMBIENT], data[1, WEIGHT] = (0.3, 0.0, 0.2), 0.16, 0.7
-    data[2:, WEIGHT] = 1.0
+    data[2:, [AMBIENT, WEIGHT]] = 1.0
     kinds = [LightKind.SUN, ENVIRONMENT, *[LightKind.POINT] * count]
     return Lights(kinds, data, light_tree=nodes, light_of_leaf=np.where(leaves >= 0, leaves + 2, -1))
 
@@ -119,38 +119,33 @@ GLOW = scenes.Material("glow", emission=(30.0,) * 3, specular_ior_level=0.0)
 DIM = scenes.Material("dim", emission=(2.0,) * 3, specular_ior_level=0.0)
 
 
-@pytest.mark.parametrize(
-    "triangles, materials, leaves",
-    [
-        ([(0, 1, 2), (0, 2, 3)], (0, 0), [0]),  # a quad
-        ([(0, 1, 2), (2, 0, 3)], (0, 1), [0, 1]),  # of two materials
-        ([(0, 1, 2), (0, 4, 2)], (0, 0), [0, 1]),  # bent
-        ([(0, 1, 2), (5, 6, 7)], (0, 0), [0, 1]),  # of one plane, apart
-        ([(0, 1, 2), (0, 2, 3), (0, 3, 5)], (0, 0, 0), [0, 2]),
-        ([(0, 1, 2), (0, 2, 3), (0, 3, 5), (0, 5, 6)], (0, 0, 0, 0), [0, 2]),  # a fan
-        ([(0, 1, 2), (0, 2, 4), (0, 4, 1)], (0, 0, 0), [0, 1, 2]),
-    ],
-)
-def test_triangles_of_a_flat_quad_are_one_leaf(triangles, materials, leaves):
-    corners = [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 2, 1), (0, 1, 2), (-1, 1, 1), (-2, -1, 1), (-3, 0, 1)]
-    shape = dataclasses.replace(scenes.mesh(corners, triangles), material_slots=np.array(materials, dtype=np.int32))
-    turned = scenes.transform((0.1, 0.2, 0.3), scenes.rotation("x", 0.6))
-    scene = scenes.build([(shape, turned, [GLOW, DIM])], scenes.camera((0, -3, 1), (0, 0, 0)))
-    lights = lights_of(scene)
-    assert sorted(lights.light_of_leaf[lights.light_of_leaf >= 0]) == leaves
-    assert lights.choices == len(triangles) and len(np.unique(lights.leaf)) == len(leaves)
+@pytest.mark.parametrize("count", [1, 2, LARGEST_LEAF, LARGEST_LEAF + 1])
+def test_few_triangles_of_an_object_are_one_leaf(count):
+    """Chosen among by their power; their bounds hold all of them. More of them are weighed one by one."""
+    rng = np.random.default_rng(count)
+    corners = rng.uniform(-0.5, 0.5, (3 * count, 3)) + (0, 0, 1)
+    shape = scenes.mesh(corners, np.arange(3 * count).reshape(-1, 3))
+    materials = np.arange(count, dtype=np.int32) % 2
+    shape = dataclasses.replace(shape, material_slots=materials)
+    objects = [(shape, scenes.transform((x, 0, 0)), [GLOW, DIM]) for x in (-1.0, 1.0)]
+    lights = lights_of(scenes.build(objects, scenes.camera((0, -3, 1), (0, 0, 0)), [scenes.lamp(LightKind.POINT)]))
+    assert lights.choices == len(lights) == 2 * count + 1
+    is_whole = count <= LARGEST_LEAF
+    assert np.count_nonzero(lights.light_of_leaf >= 0) == (3 if is_whole else len(lights))
     for leaf in np.unique(lights.leaf):
         members = np.flatnonzero(lights.leaf == leaf)
-        np.testing.assert_allclose(lights.weight[members], lights.area[members] / lights.area[members].sum())
+        power = np.where(lights.kind[members] == TRIANGLE, lights.area[members] * lights.radiance[members, 0], 1.0)
+        np.testing.assert_allclose(lights.weight[members], power / power.sum())
         node = lights.tree[len(lights.light_of_leaf) - 1 + leaf]
-        for light in members:
+        for light in members[lights.kind[members] == TRIANGLE]:
             for corner in (0.0, lights.axis_x[light], lights.axis_y[light]):
                 at = lights.position[light] + corner
                 assert (at > node[0:3] - 1e-5).all() and (at < node[3:6] + 1e-5).all()
-    rng = np.random.default_rng(4)
+            assert np.abs(lights.axis_z[light] @ node[6:9]) > 1.0 - 1e-5 or node[9] == -1.0
     points, normals = np.tile([0.3, 0.1, 0.0], (COUNT, 1)), np.tile([0.0, 0.0, 1.0], (COUNT, 1))
     chosen, probability = lights.choose(rng.random((COUNT, 2)), points, normals)
     stated = lights.choice_probability(np.arange(len(lights)), points[: len(lights)], normals[: len(lights)])
+    assert stated.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(probability, stated[chosen])
     assert_histogram(np.bincount(chosen, minlength=len(lights)), stated * COUNT)
 
@@ -189,7 +184,7 @@ def test_lights_of_all_kinds_are_chosen_by_their_irradiance(point, normal):
 
 
 def test_a_sky_is_weighed_by_the_side_it_shines_from():
-    """Its share of the choice beside a sun: that of its irradiance, for a sky with a sun and for one without."""
+    """Its share of the choice beside a sun: twice that of its irradiance, for a sky with a sun and for one without."""
     floor = (scenes.quad(2.0), scenes.transform(), [scenes.WHITE])
     sun = scenes.lamp(LightKind.SUN, eye=(0, 0, 5), power=(500.0,) * 3, size=(0.0, 0.0))
     rows, columns = np.mgrid[0:32, 0:64]
@@ -208,7 +203,7 @@ def test_a_sky_is_weighed_by_the_side_it_shines_from():
             direction = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
             exact = (excess * area * np.maximum(np.tensordot(normal, direction, 1), 0)).sum()
             stated = lights.choice_probability(np.arange(2), np.zeros((2, 3)), np.tile(normal, (2, 1)))
-            assert stated[1] / stated[0] == pytest.approx(exact / (50.0 * normal[2]), rel=0.35)
+            assert stated[1] / stated[0] == pytest.approx(ENVIRONMENT_FACTOR * exact / (50.0 * normal[2]), rel=0.35)
 
 
 @pytest.mark.parametrize("where", [0.0, 1e6, 1e15])

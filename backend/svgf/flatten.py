@@ -143,10 +143,10 @@ class FlatScene:
       1 / (tangent - angle), 0 without one
     - 20 whether without size, 23 soft falloff
     - 21, 22 for choosing it, SUN, ENVIRONMENT: the least share of its irradiance that surfaces count with however they
-      face, and that irradiance, in the light tree's unit; others: 0, and the share of its leaf
+      face, and that irradiance, in the light tree's unit; others: where its share of its leaf ends, and that share
 
     light_tree [2^(depth + 1) - 1, 12] and light_of_leaf int32 [2^depth]: see svgf.light_tree, of all lights but those
-    two kinds. A leaf is one light, or that one and the next: two triangles of a flat quad.
+    two kinds. A leaf is one light, or that one and others after it: the few triangles of an instance.
 
     The light of a triangle: emitter int32 [N] is the row of an instance in emitters int32 [E, 2], or -1; its light is
     emitters[e, 0] + light_of_triangle[emitters[e, 1] + triangle] (int32), where that last number is not -1.

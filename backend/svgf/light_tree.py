@@ -35,8 +35,8 @@ def build_light_tree(bounds: LightBounds) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [2^(depth + 1) - 1, 12] (the children of node i are 2 i + 1 and 2 i + 2) and the light of each leaf, int32
     [2^depth], -1 for none. Both are empty without lights.
 
-    Columns: low 0:3, high 3:6, axis 6:9, cos_normals 9, cos_emission 10, intensity 11, which is negative where the lights
-    shine both ways.
+    Columns: low 0:3, high 3:6, axis 6:9, cos_normals 9, cos_emission 10, intensity 11, which is negative where the
+    lights shine both ways.
     """
     count = len(bounds.intensity)
     if not count:

@@ -163,7 +163,8 @@ struct alignas(16) Light {
     float area;
     float cos_half_spot, spot_scale;  // area lamps: tangent of half the spread, and the scale of its fading
     float is_delta;
-    float ambient, weight;  // suns, the environment: see estimate_irradiance(); others: 0, their share of their leaf
+    // Suns, the environment: see estimate_irradiance(). Others: where its share of its leaf ends, and that share.
+    float ambient, weight;
     float soft_falloff;  // point, spot: 1 for a disk that faces the point it lights, 0 for a sphere
     LightKind kind;
     std::uint32_t visibility;  // bits of ray_kind
@@ -218,7 +219,7 @@ struct LightsView {
     // The light tree of those that are somewhere: a complete binary one, the children of node i are 2 i + 1 and
     // 2 i + 2. Null: there are none.
     const LightNode* nodes = nullptr;
-    const std::int32_t* light_of_leaf = nullptr;  // where its share is not all, the leaf is the next light's too
+    const std::int32_t* light_of_leaf = nullptr;  // the first one; a leaf ends where shares do, at 1
     std::int32_t tree_depth = 0;  // 2^depth leaves
     const Emitter* emitters = nullptr;
     const std::int32_t* light_of_triangle = nullptr;

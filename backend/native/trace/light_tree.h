@@ -8,9 +8,12 @@
 // Departures: the tree is a complete binary one, split in halves by count, so that the way to a light is the binary
 // number of its leaf and needs no memory. Importance counts the cosine at the receiver, as pbrt-v4 does. The choice
 // starts among several nodes instead of at the root, whose box says little about a few lights far apart: up to eight
-// lights are all weighed on their own. Two triangles of a flat quad are one leaf, as their boxes tell little apart.
+// lights are all weighed on their own. The triangles of an object that has few are one leaf and are chosen by their
+// power: weighing the sides of a box one by one takes time, and brought a room 1 % less variance.
 //
-// Before, fewer than 16 lights were chosen by their power, and suns and the environment always.
+// Against the power of the lights alone, for fewer than 16 and always between these, suns and the environment: mean
+// variance at equal samples -39 % in Sponza (a sun, four lanterns), median ratio .63 with three lamps, .84 with two and
+// a sky.
 #pragma once
 
 #include "core/approximate.h"
@@ -135,7 +138,8 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
     if (!is_given) {
         light = lights.light_of_leaf[node - ((1 << depth) - 1)];
         if (light < 0) return 0.0f;
-        if (!((depth < steps_of_first ? u.x : u.y) < lights.rows[light].weight)) ++light;
+        const float number = depth < steps_of_first ? u.x : u.y;
+        while (!(number < lights.rows[light].ambient)) ++light;
     }
     return probability * lights.rows[light].weight;
 }

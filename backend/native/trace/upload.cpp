@@ -330,12 +330,13 @@ void Tracer::set_lights(const Lights& arrays) {
         const std::int32_t light = arrays.light_of_leaf[leaf];
         expect(light >= -1 && light < std::int32_t(count), "The light tree names a light that is not there.");
         if (light < 0) continue;
-        const bool is_pair = lights[std::size_t(light)].weight < 1.0f;
-        expect(!is_pair || std::size_t(light) + 1 < count, "A leaf of the light tree lacks its second light.");
-        lights[std::size_t(light)].leaf = std::int32_t(leaf);
-        if (is_pair) lights[std::size_t(light) + 1].leaf = std::int32_t(leaf);
         view.only = light;
-        view.choices += is_pair ? 2 : 1;
+        for (std::size_t i = std::size_t(light);; ++i) {
+            expect(i < count, "A leaf of the light tree goes on beyond the last light.");
+            lights[i].leaf = std::int32_t(leaf);
+            ++view.choices;
+            if (lights[i].ambient >= 1.0f) break;
+        }
     }
     if (view.choices > 1) view.only = -1;
     std::vector<Emitter> emitters(arrays.emitters.size() / 2);

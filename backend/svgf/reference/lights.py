@@ -68,8 +68,11 @@ class Lights:
         self.leaf = np.full(len(data), -1, dtype=np.int64)
         leaves = np.flatnonzero(self.light_of_leaf >= 0)
         self.leaf[self.light_of_leaf[leaves]] = leaves
-        paired = leaves[self.weight[self.light_of_leaf[leaves]] < 1.0]
-        self.leaf[self.light_of_leaf[paired] + 1] = paired
+        for leaf in leaves:
+            light = self.light_of_leaf[leaf]
+            while self.ambient[light] < 1.0:
+                light += 1
+                self.leaf[light] = leaf
         self.emitters = np.asarray(emitters, dtype=np.int64).reshape(-1, 2)
         self.light_of_triangle = np.asarray(light_of_triangle, dtype=np.int64)
         self.emission_map = np.full(len(data), -1) if emission_map is None else np.asarray(emission_map)
@@ -97,7 +100,11 @@ class Lights:
                 self.tree, start[rows] - self.everywhere, point[rows], normal[rows], numbers, none
             )
             first = self.light_of_leaf[leaf]
-            light[rows] = np.where((first >= 0) & (number >= self.weight[first]), first + 1, first)
+            light[rows] = first
+            goes_on = np.flatnonzero((first >= 0) & (number >= self.ambient[first]))
+            while len(goes_on):
+                light[rows[goes_on]] += 1
+                goes_on = goes_on[number[goes_on] >= self.ambient[light[rows[goes_on]]]]
             chance[rows] *= np.where(first >= 0, share * self.weight[light[rows]], 0.0)
         return np.maximum(light, 0), chance
 
