@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from svgf.devices import open_device
 from svgf.reference.shadow_terminator import patch_heights, terminator_share
 from svgf.scene import Light, LightKind
 
@@ -155,3 +156,27 @@ def test_an_offset_is_of_one_instance(device):
     images = trace(device, dataclasses.replace(scene, instances=one), bounces=0)
     differs = (radiance(images) != plain).any(axis=2)
     assert not differs[images["object_id"] == 1].any() and differs[images["object_id"] == 2].mean() > 0.01
+
+
+@pytest.mark.parametrize("is_bent", [False, True])
+def test_patches_of_any_normals_are_those_of_the_reference(device, is_bent):
+    """Single triangles before a sun that is behind them: how far from its edges each is lit is how high its patch is.
+    Of those that bend away from one corner, its tangent plane is the triangle, and half of the quadratic patch counts.
+    """
+    random = np.random.default_rng(7)
+    centres = np.array([(x, y, 0) for x in range(-4, 5, 2) for y in (-2, 0, 2)])
+    triangle = np.array([(-0.9, 0, 0), (0.9, -0.9, 0), (0.9, 0.9, 0)])
+    normals = np.array([0.5, 0.1, 0.7]) + random.uniform(-0.6, 0.6, (len(centres), 3, 3))
+    if is_bent:
+        normals[:, 0] = 0, 0, 1
+        normals[:, 1:] = np.array([1.0, 0.0, 0.5]) + random.uniform(0.0, 0.5, (len(centres), 1, 3)) * (1, 0, 1)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    triangles = scenes.mesh((centres[:, None] + triangle).reshape(-1, 3), np.arange(3 * len(centres)).reshape(-1, 3))
+    triangles = dataclasses.replace(triangles, normals=normals.astype(np.float32))
+    sun = dataclasses.replace(SUN, light_to_world=scenes.look_at((0.95, 0.1, -0.1), (0, 0, 0)))
+    view = scenes.camera((0, 0, 9), (0, 0, 0))
+    scene = scenes.build([(triangles, scenes.transform(), [scenes.WHITE])], view, [sun])
+    scene = scenes.with_terminator_offset(scene, 0.6)
+    light, expected = (radiance(trace(d, scene, bounces=0)) for d in (device, open_device("reference")))
+    assert 0.05 < (expected[..., 0] > 0).mean() < 0.4
+    assert (np.abs(light - expected) > 1e-3 * expected + 1e-4).any(axis=2).mean() < 0.003

@@ -378,6 +378,21 @@ def test_shadow_terminator_of_instances(room, tmp_path, scale):
     assert_same_picture(tmp_path, 256)
 
 
+def test_shadow_terminator_of_a_triangle(room, tmp_path):
+    """That bends away from one corner, before a sun that is behind it."""
+    for obj in room:
+        bpy.data.objects.remove(obj)
+    triangle = add_mesh("Triangle", ([(-0.9, 0, 0), (0.9, -0.9, 0), (0.9, 0.9, 0)], [(0, 1, 2)]))
+    triangle.data.shade_smooth()
+    triangle.data.normals_split_custom_set([(0, 0, 1), (0.86, 0, 0.5), (0.86, 0, 0.5)])
+    add_shader(add_material("Gray", triangle), "ShaderNodeBsdfDiffuse")
+    add_light("SUN", energy=3, angle=0.01).rotation_euler = Euler((0, np.pi / 2 + 0.1, 0))
+    camera = bpy.context.scene.camera
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 3.5
+    camera.location, camera.rotation_euler = (0, 0, 5), Euler((0, 0, 0))
+    assert_same_picture(tmp_path, 256)
+
+
 def test_transparent_film(room, tmp_path):
     scene = bpy.context.scene
     scene.render.film_transparent = True

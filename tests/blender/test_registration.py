@@ -144,7 +144,8 @@ def test_blender_shows_its_own_panels(registered):
             "EEVEE_MATERIAL_PT_surface",
             "EEVEE_WORLD_PT_surface",
         ),
-        *("RENDER_PT_format", "RENDER_PT_output", "RENDER_PT_color_management", "OBJECT_PT_visibility"),
+        *("RENDER_PT_format", "RENDER_PT_output", "RENDER_PT_color_management"),
+        *("OBJECT_PT_visibility", "OBJECT_PT_shadow_terminator"),
     } <= shown
     assert not any("freestyle" in name or "lightprobe" in name for name in shown)
     # Ours has its place below the sampling.
