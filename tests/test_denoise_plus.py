@@ -172,6 +172,24 @@ def test_each_step_can_be_left_out(device, step):
     assert change.mean() > 3.0 * error.mean()
 
 
+def test_black_says_nothing_about_the_light(device):
+    """A checkerboard of black and white keeps its light, as noisy as it is, and agrees with the reference; where all is
+    black nothing shines."""
+    rng = np.random.default_rng(38)
+    native, reference = Denoiser(40, 24, device, "svgf+"), Denoiser(40, 24, "reference", "svgf+")
+    row, column = np.mgrid[:24, :40]
+    white = ((row + column) % 2 == 0) & (column < 30)
+    for _ in range(8):
+        frame = noisy_frame(rng, shape=4.0)
+        frame["diffuse_albedo"] = np.where(white[..., None], frame["diffuse_albedo"], 0.0).astype(np.float32)
+        frame["diffuse"] = np.where(white[..., None], frame["diffuse"], 0.0).astype(np.float32)
+        actual, expected = native.denoise(frame)["color"], reference.denoise(frame)["color"]
+    assert actual[white & (column < 8)].mean() == pytest.approx(0.5, rel=0.1)
+    assert actual[:, 32:].max() < 0.002
+    error = np.abs(actual - expected).max(axis=-1)[:, :30] / expected.max()
+    assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
+
+
 @pytest.mark.parametrize("signals", ["diffuse and specular", "color"])
 def test_frames_with_reflections_agree_with_the_reference(device, signals):
     """As above, with a specular signal on surfaces of every roughness, or all light in one."""

@@ -24,9 +24,9 @@
 //     the centre's variance alone         1.24 1.123     1.02 1.110     1.25 .768
 //     all reflections taken for sharp     1.39 0.980     0.98 0.967     1.27 .774
 //     by their gloss                      1.55 0.870     0.95 0.862     1.38 .758
-// - Taps of other objects count as any. Left out, thin objects keep their noise: relMSE and FLIP of the box 1.55 .870 ->
-//   2.63 .879, the arcade 0.95 .862 -> 0.96 .877, the toys 1.38 .758 -> 1.37 .765; though rims of lamps then leave no
-//   specks 8 and 16 pixels beside them (Cycles' teapots 1.68 .817 -> 1.67 .811).
+// - Taps of other objects count as any. Left out, thin objects keep their noise: relMSE and FLIP of the box 1.55 .870,
+//   then 2.63 .879, of the arcade 0.95 .862 and 0.96 .877, of the toys 1.38 .758 and 1.37 .765; though rims of lamps
+//   would leave no specks 8 and 16 pixels beside them (Cycles' teapots 1.68 .817 and 1.67 .811).
 // From [Dammertz10], of which the text and the listing at its end disagree: weights are Gaussians of squared distances,
 // as in the listing; sigma_rt is halved at each level, as in the text. Positions are compared in camera space, where
 // distances are those of world space and coordinates stay small.

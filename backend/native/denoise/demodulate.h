@@ -43,6 +43,12 @@ struct Albedo {
         if (images[1]) sum += repair(texel.values[1], repaired);
         return {fast_max(sum.x, albedo_floor), fast_max(sum.y, albedo_floor), fast_max(sum.z, albedo_floor)};
     }
+    // Nothing that falls on it is seen.
+    SVGF_HD bool is_black(const Texel& texel) const {
+        int counted_elsewhere = 0;
+        const Vec3 divisor = unpack(texel, counted_elsewhere);
+        return fast_max(divisor.x, fast_max(divisor.y, divisor.z)) <= albedo_floor;
+    }
     SVGF_HD Vec3 at(int pixel, int& repaired) const { return unpack(fetch(pixel), repaired); }
 };
 

@@ -74,6 +74,10 @@
 //
 // - Diffuse light begins, for `local_mean_frames`, with the mean of the 3x3 samples: where few samples find light, most
 //   pixels would begin with none, and seem to be certain of it. What moves in reflections would be blurred.
+// - Black reflects nothing, whatever the light: where the albedo is 0 (and so the sample), the neighbours' light stands
+//   for it, or history's, and it is no neighbour itself. Else a checkerboard of black and white, in which half of the
+//   samples are 0, comes out at half its light: balls on one, by Cycles, relMSE, FLIP and flicker over those of OIDN
+//   2.5.1, and the mean over the truth's: .616 1.445 .543 0.61 without, .640 .795 .563 0.86 so.
 // - The variance of a specular sample is the least of four second differences: the border of a reflection, along which
 //   light does not change, is no noise, neither to be blurred nor to be averaged with what has moved on.
 // - Reflections follow their surface. Looked up where the point behind the surface was, at the hit distance (the mean
@@ -98,6 +102,8 @@ constexpr int drift_spacing = 3;
 constexpr float threshold_rise = 0.05f, threshold_frames = 16.0f;
 // Of the threshold, for light that is less than history says.
 constexpr float fall_share = 0.75f;
+// In place of a luminance: the albedo is black, and says nothing about the light.
+constexpr float unknown_light = -1.0f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
 // Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
@@ -118,7 +124,7 @@ struct TemporalPlus : Tiles {
     struct Tile {
         Vec4 surface[places];         // normal, depth
         Vec4 color[Signals][places];  // illumination, luminance
-        float light[Signals][places];  // the luminance again, for when it alone is read
+        float light[Signals][places];  // the luminance again, for when it alone is read; or unknown_light
         int32_t object_id[places];    // 0: no surface
     };
     struct Texel {
@@ -172,7 +178,8 @@ struct TemporalPlus : Tiles {
             const Vec3 c = frame.illumination(s, texel.signal[s], repaired);
             const float light = luminance(c);
             tile.color[s][place] = {c.x, c.y, c.z, light};
-            tile.light[s][place] = light;
+            const bool is_unknown = !(light > 0.0f) && frame.in_albedo[s].is_black(texel.signal[s].albedo);
+            tile.light[s][place] = is_unknown ? unknown_light : light;
         }
         if (texel.is_own) count(out_repaired, repaired);
     }
@@ -293,7 +300,12 @@ private:
     // Brings the sample into the mean of a signal. Returns the frames that are in the mean.
     SVGF_HD float accumulate(int s, int pixel, const Tile& tile, int place, Neighbours near, const History& old,
                              bool moves) const {
-        const Vec4 own = tile.color[s][place];
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            near.mask &= ~(uint32_t(tile.light[s][place + neighbour(n)] == unknown_light) << n);
+        near.count = count_set_bits(near.mask);
+        const bool is_known = tile.light[s][place] != unknown_light;
+        const Vec4 own = is_known ? tile.color[s][place] : guess(tile, s, place, near, old);
         float lights[neighbours], sum = 0.0f, most = 0.0f;
         SVGF_UNROLL
         for (int n = 0; n < neighbours; ++n) {
@@ -373,6 +385,16 @@ private:
         }
         const float noise = fast_min(spread, second_difference_scale * least);
         return noise + structure_share * (spread - noise);
+    }
+
+    // Light that black does not show: the neighbours', or else history's. With its luminance.
+    SVGF_HD Vec4 guess(const Tile& tile, int s, int place, Neighbours near, const History& old) const {
+        Vec3 sum;
+        SVGF_UNROLL
+        for (int n = 0; n < neighbours; ++n)
+            if (near.has(n)) sum += tile.color[s][place + neighbour(n)].xyz();
+        const Vec3 light = near.count > 0 ? sum * fast_reciprocal(float(near.count)) : old.color;
+        return {light.x, light.y, light.z, luminance(light)};
     }
 
     // Mean of the 3x3 samples.

@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..settings import METHODS, DenoiseSettings, PlusStep, check_name
 from .antialias import Resolved, antialias
 from .atrous import atrous, atrous_plus, edge_avoiding
-from .demodulate import demodulate, repair, signal_albedo
+from .demodulate import ALBEDO_FLOOR, demodulate, repair, signal_albedo
 from .diagnose import motion_error, repaired_values, reset_reason
 from .device import Device
 from .guides import Guides, gloss_of, in_range, luminance, namespace, repair_guides
@@ -118,7 +118,7 @@ class Denoiser:
             with timed("temporal"):
                 self.history, spread, fireflies, count = temporal_plus(
                     color, _specular(signals), guides, inputs.get("motion"), self.history, self.settings,
-                    _with_reflections(signals), unchanged,
+                    _with_reflections(signals), unchanged, [a.max(axis=-1) <= ALBEDO_FLOOR for a in albedo],
                 )  # fmt: skip
             repaired += count
             color = self.history.color

@@ -74,9 +74,11 @@ def temporal_plus(
     settings: Any,
     has_reflections: list[bool],
     unchanged: bool = False,
+    black: list[Any] | None = None,
 ) -> tuple[HistoryPlus, list[Any], Fireflies, int]:
     """illumination [H, W, 3], is_specular, has_reflections (alone or with other light): per signal. motion: [H, W, 2
-    or 3], None: nothing moved. unchanged: nor did the light change.
+    or 3], None: nothing moved. unchanged: nor did the light change. black: per signal bool [H, W], the albedo is 0;
+    None: nowhere.
 
     Returns what the next frame needs, but for the filtered luminance, which is yet to come; per signal the variance
     [H, W] of the mean, as the filter takes it; what the limit cut; and how many motions were no numbers. Where there
@@ -100,11 +102,22 @@ def temporal_plus(
         found, (old_color, old_frames, old_variance, expected) = _read(point, history, settings.history_fix_radius)
         drifts = [xp.where(found, _around(point, image), 0.0) for image in history.drift]
 
-    near = _neighbours(illumination, guides, settings.normal_tolerance)
-    count = sum(same for same, _ in near)
+    around = _neighbours(illumination, guides, settings.normal_tolerance)
     colors, frames, variances, new_drifts, changes, spreads = [], [], [], [], [], []
     fireflies, cut = 0, xp.zeros(shape)
     for s, new in enumerate(illumination):
+        # Black says nothing about the light: the neighbours do, or history.
+        near, count = around, sum(same for same, _ in around)
+        if black is not None:
+            unknown = black[s] & (luminance(new) <= 0.0)
+            places = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dx, dy) != (0, 0)]
+            near = [
+                (same & ~tap(*place, unknown)[1], color) for (same, color), place in zip(around, places, strict=True)
+            ]
+            count = sum(same for same, _ in near)
+            known = sum(xp.where(same[..., None], color[s], 0.0) for same, color in near)
+            known = known / xp.maximum(count, 1)[..., None]
+            new = xp.where((unknown & surface)[..., None], xp.where((count > 0)[..., None], known, old_color[s]), new)
         # The limit, by what history and the neighbours say.
         lights = [xp.where(same, luminance(color[s]), 0.0) for same, color in near]
         several = count > 1
