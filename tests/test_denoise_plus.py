@@ -319,20 +319,24 @@ def test_no_ghost_of_what_has_left(device):
 
 
 def test_a_still_view_converges_to_its_samples(device):
-    """After 1024 frames the error is at most 1.1 times that of the plain mean of the same samples."""
+    """After 1024 frames the error is at most 1.1 times that of the plain mean of the same samples; mean of four runs,
+    as a few pixels of each decide."""
     if device.name == "reference":
         pytest.skip("a thousand frames in numpy take a minute")
-    rng = np.random.default_rng(28)
-    denoiser = Denoiser(40, 24, device, "svgf+")
     y, x = np.mgrid[:24, :40]
     truth = make_frame()["diffuse"] * (1.0 + 0.8 * np.sin(0.9 * x) * np.cos(1.1 * y))[..., None].astype(np.float32)
-    total = np.zeros(truth.shape)
-    for _ in range(1024):
-        frame = make_frame()
-        frame["diffuse"] = truth * rng.gamma(0.5, 2.0, (24, 40, 1)).astype(np.float32)
-        total += frame["diffuse"]
-        result = denoiser.denoise(frame)
-    assert relative_mse(result["color"], truth) <= 1.1 * relative_mse(total / 1024, truth)
+    ratios = []
+    for seed in range(28, 32):
+        rng = np.random.default_rng(seed)
+        denoiser = Denoiser(40, 24, device, "svgf+")
+        total = np.zeros(truth.shape)
+        for _ in range(1024):
+            frame = make_frame()
+            frame["diffuse"] = truth * rng.gamma(0.5, 2.0, (24, 40, 1)).astype(np.float32)
+            total += frame["diffuse"]
+            result = denoiser.denoise(frame)
+        ratios.append(relative_mse(result["color"], truth) / relative_mse(total / 1024, truth))
+    assert np.mean(ratios) <= 1.1
 
 
 def rare_bright_frame(rng):

@@ -54,7 +54,9 @@
 //
 //   Samples are skewed: chance makes them far more, hardly ever far less than they should be, so light that is less
 //   than history says is a change already at `fall_share` of the threshold. The share is what energy allows: of gamma
-//   distributed light (shape 1/2, 96 frames) 0.11 % is lost with one threshold, 0.17 % so, 0.31 % with 0.6.
+//   distributed light (shape 1/2, 96 frames) 0.11 % is lost with one threshold, 0.17 % so, 0.31 % with 0.6. It goes
+//   back to one threshold while history doubles: after 1024 frames a still view of such light has 1.08 times the error
+//   of their plain mean (eight seeds, relMSE), and 1.09 times where it does not.
 //
 // - A sample brighter than `firefly_limit` times what is expected is scaled down to that, before it enters the mean.
 //   Expected is what the whole filter made of the pixel a frame ago: its own history would never let a first bright
@@ -100,8 +102,8 @@ constexpr float drift_rate = 0.3f;
 constexpr int drift_spacing = 3;
 // Rise of the threshold whenever history has doubled beyond these frames.
 constexpr float threshold_rise = 0.05f, threshold_frames = 16.0f;
-// Of the threshold, for light that is less than history says.
-constexpr float fall_share = 0.75f;
+// Of the threshold, for light that is less than history says, and its rise.
+constexpr float fall_share = 0.75f, fall_share_rise = 0.0625f;
 // In place of a luminance: the albedo is black, and says nothing about the light.
 constexpr float unknown_light = -1.0f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
@@ -333,7 +335,8 @@ private:
         // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);
         const float rise_threshold = change_threshold[s] + threshold_rise * doublings;
-        const float threshold = old.drift < 0.0f ? fall_share * rise_threshold : rise_threshold;
+        const float fall_threshold = fast_min(fall_share + fall_share_rise * doublings, 1.0f) * rise_threshold;
+        const float threshold = old.drift < 0.0f ? fall_threshold : rise_threshold;
         float kept = clamp(6.0f - 5.0f * std::fabs(old.drift) * fast_reciprocal(threshold), 0.0f, 1.0f);
         const bool changed = kept < 1.0f;
         float frames = old.frames * kept + 1.0f;

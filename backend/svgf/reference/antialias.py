@@ -23,7 +23,7 @@ LARGEST_STEP = 0.05
 # Contrast of the 3x3 pixels that hides noise, and the frames that the mean takes there.
 MASKING_CONTRAST = 0.05
 BLEND_FRAMES = 56.0
-STILL_RATE, BLEND_RATE = 1.25, 2.0
+STILL_RATE, BLEND_RATE, FORGETTING_FRAMES = 1.25, 2.0, 256.0
 # Of the brightest of the 3x3 pixels: what darker ones count for in their geometric mean.
 BLACK = 2.0**-10
 
@@ -111,9 +111,10 @@ def antialias(
     waits = interactive and not unchanged
     share = xp.maximum(unseen, masked)[..., None] if unchanged else 0.0 if waits else 1.0
     sample = color + (noisy - color) * share
-    rate = BLEND_RATE + (STILL_RATE - BLEND_RATE) * share
+    least_rate = xp.where(frames < FORGETTING_FRAMES, STILL_RATE, 1.0)[..., None]
+    rate = (BLEND_RATE + (least_rate - BLEND_RATE) * share)[..., 0]
     n = xp.where(goes_on, frames, n) if waits else n
-    step = (sample - past_linear) * rate / n[..., None]
+    step = (sample - past_linear) * (rate / n)[..., None]
     if unchanged:
         most = LARGEST_STEP * xp.maximum(white, color.max(axis=-1) + 1e-30)
         step = step * (most / xp.maximum(step.max(axis=-1), most))[..., None]

@@ -21,8 +21,8 @@ DRIFT_SPACING = 3
 # Rise of the threshold whenever history has doubled beyond these frames.
 THRESHOLD_RISE = 0.05
 THRESHOLD_FRAMES = 16.0
-# Of the threshold, for light that is less than history says.
-FALL_SHARE = 0.75
+# Of the threshold, for light that is less than history says, and its rise.
+FALL_SHARE, FALL_SHARE_RISE = 0.75, 0.0625
 # Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
 YOUNG_FRAMES = 4.0
 # Of a specular sample's variance, what the 3x3 samples say whatever their structure; and what makes the least of four
@@ -147,7 +147,8 @@ def temporal_plus(
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
         threshold = settings.specular_change_threshold if is_specular[s] else settings.change_threshold
         threshold = (NEVER if unchanged else threshold) + THRESHOLD_RISE * doublings
-        threshold = xp.where(drifts[s] < 0.0, FALL_SHARE, 1.0) * threshold
+        fall_share = xp.minimum(FALL_SHARE + FALL_SHARE_RISE * doublings, 1.0)
+        threshold = xp.where(drifts[s] < 0.0, fall_share, 1.0) * threshold
         kept_of_change = xp.clip(6.0 - 5.0 * xp.abs(drifts[s]) / threshold, 0.0, 1.0)
         changed = mean + (old_color[s] - mean) * kept_of_change[..., None]
         left = old_frames[s] * kept_of_change
