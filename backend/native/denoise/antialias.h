@@ -64,7 +64,8 @@ constexpr float visible_noise = 0.1f, largest_step = 0.05f;
 // Deviation of the 3x3 pixels, after map, from which structure hides noise; and the frames that the mean takes there.
 constexpr float masking_contrast = 0.05f, blend_frames = 56.0f;
 // Weight of a noisy frame, over 1 / frames. Above 1 what the filter blurred is forgotten faster than by 1 / frames, at
-// 4 % more variance than the plain mean has; after so many frames next to nothing of it is left to forget.
+// 4 % more variance than the plain mean has; after so many frames next to nothing of it is left to forget, but where
+// noisy frames come in as little as is seen.
 constexpr float still_rate = 1.25f, blend_rate = 2.0f, forgetting_frames = 256.0f;
 // Of brightness: what the denoised frame may be off by before the mean of a still picture is given up.
 constexpr float still_margin = 0.02f;
@@ -203,7 +204,8 @@ private:
                                  clamp((history.frames - still_frames) * (1.0f / blend_frames), 0.0f, 1.0f);
             const float share = is_unchanged ? fast_max(unseen, masked) : waits ? 0.0f : 1.0f;
             const Vec3 sample = own + (noisy(pixel) - own) * share;
-            const float least_rate = history.frames < forgetting_frames ? still_rate : 1.0f;
+            const bool forgets = is_unchanged || history.frames < forgetting_frames;
+            const float least_rate = forgets ? still_rate : 1.0f;
             const float rate = blend_rate + (least_rate - blend_rate) * share;
             Vec3 step = (sample - history.color) * (rate / frames);
             const float most = largest_step * fast_max(box.white, center.w);

@@ -111,7 +111,7 @@ def antialias(
     waits = interactive and not unchanged
     share = xp.maximum(unseen, masked)[..., None] if unchanged else 0.0 if waits else 1.0
     sample = color + (noisy - color) * share
-    least_rate = xp.where(frames < FORGETTING_FRAMES, STILL_RATE, 1.0)[..., None]
+    least_rate = xp.where(unchanged | (frames < FORGETTING_FRAMES), STILL_RATE, 1.0)[..., None]
     rate = (BLEND_RATE + (least_rate - BLEND_RATE) * share)[..., 0]
     n = xp.where(goes_on, frames, n) if waits else n
     step = (sample - past_linear) * (rate / n)[..., None]
