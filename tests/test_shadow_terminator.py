@@ -93,25 +93,25 @@ def test_a_convex_mesh_is_lit_as_its_normals_say(device, placement, offset):
     assert ((plain == 0).all(axis=2) & (expected[..., 0] > 0.01))[seen].mean() > 0.02
 
 
+def assert_lit_as_its_normals_say(device, scene):
+    images = trace(device, scenes.with_terminator_offset(scene, 0.1), bounces=0)
+    seen = images["object_id"] > 0
+    assert seen.mean() > 0.1
+    expected = 0.8 / np.pi * 3.0 * np.maximum(images["normal"] @ TO_SUN, 0.0)
+    np.testing.assert_allclose(radiance(images)[seen][:, 0], expected[seen], rtol=1e-4, atol=1e-3)
+
+
 @pytest.mark.parametrize("factor", [1e-4, 1e4])
 def test_scale_does_not_matter(device, factor):
     placement = scenes.transform(linear=np.eye(3) * factor)
     view = scenes.camera((0, -4 * factor, 0), (0, 0, 0), half_width=0.7, clip=(0.1 * factor, 10 * factor))
     scene = lit([(BALL, placement, [scenes.WHITE])], view)
-    images = trace(device, scenes.with_terminator_offset(scene, 0.1), bounces=0)
-    seen = images["object_id"] > 0
-    assert seen.mean() > 0.1
-    expected = 0.8 / np.pi * 3.0 * np.maximum(images["normal"] @ TO_SUN, 0.0)
-    np.testing.assert_allclose(radiance(images)[seen][:, 0], expected[seen], rtol=1e-4, atol=1e-3)
+    assert_lit_as_its_normals_say(device, scene)
 
 
 def test_far_from_the_origin(device):
     scene = scenes.move(lit([(BALL, scenes.transform(), [scenes.WHITE])]), (1e6, -3e5, 2e5))
-    images = trace(device, scenes.with_terminator_offset(scene, 0.1), bounces=0)
-    seen = images["object_id"] > 0
-    assert seen.mean() > 0.1
-    expected = 0.8 / np.pi * 3.0 * np.maximum(images["normal"] @ TO_SUN, 0.0)
-    np.testing.assert_allclose(radiance(images)[seen][:, 0], expected[seen], rtol=1e-4, atol=1e-3)
+    assert_lit_as_its_normals_say(device, scene)
 
 
 def test_shadows_of_others_stay(device):

@@ -3,7 +3,6 @@
 #include "trace/tracer.h"
 
 #include <algorithm>
-#include <utility>
 
 #include "trace/cast.h"
 #include "trace/gbuffer.h"
