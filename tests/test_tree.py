@@ -27,7 +27,7 @@ class Tree:
         as_bytes = np.ascontiguousarray(nodes).view(np.uint8).reshape(len(nodes), 80)
         step = 2.0 ** (as_bytes[:, 12:15].astype(np.float64) - 127)
         slots, is_inner = as_bytes[:, 24:32], as_bytes[:, 15]
-        sides = as_bytes[:, 32:].reshape(len(nodes), 2, 3, 8).astype(np.float64)
+        sides = as_bytes[:, 32:].reshape(len(nodes), 3, 8, 2).transpose(0, 3, 1, 2).astype(np.float64)
         self.parents, self.slots = np.nonzero(slots)
         corner = origin[self.parents, None] + sides[self.parents, :, :, self.slots] * step[self.parents, None]
         self.low, self.high = corner[:, 0], corner[:, 1]

@@ -84,6 +84,10 @@ SVGF_HD inline float multiply_add(float a, float b, float c) {
 #endif
 }
 
+SVGF_HD inline Vec3 multiply_add(Vec3 a, float b, Vec3 c) {
+    return {multiply_add(a.x, b, c.x), multiply_add(a.y, b, c.y), multiply_add(a.z, b, c.z)};
+}
+
 SVGF_HD inline float dot(Vec2 a, Vec2 b) { return multiply_add(a.y, b.y, a.x * b.x); }
 SVGF_HD inline float dot(Vec3 a, Vec3 b) { return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x)); }
 SVGF_HD inline Vec3 cross(Vec3 a, Vec3 b) {

@@ -2,6 +2,7 @@
 // A node of the wide trees: up to 8 child boxes in 80 bytes [Ylitie17].
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #include "core/bits.h"
@@ -31,14 +32,16 @@ struct alignas(16) WideNode {
     std::uint32_t first_child;          // inner children lie next to each other, in the order of their slots
     std::uint32_t first_primitive;      // so do the primitives of all leaf children, in the order of the hit mask
     std::uint32_t slot[2];              // a byte per slot
-    std::uint32_t low[3][2];            // a byte per slot, for each axis
-    std::uint32_t high[3][2];
+    // For each axis two bytes per slot, where its box begins and where it ends: side by side, so that the device picks
+    // the side that a ray enters by and makes numbers of its bytes in one permutation.
+    std::uint32_t sides[3][4];
 
     SVGF_HD float step(int axis) const { return float_from_bits(((exponents_and_inner >> (8 * axis)) & 0xffu) << 23); }
     SVGF_HD std::uint32_t inner_slots() const { return exponents_and_inner >> 24; }
 
-    SVGF_HD static std::uint32_t byte(const std::uint32_t (&words)[2], int s) {
-        return (words[s >> 2] >> (8 * (s & 3))) & 0xffu;
+    template <std::size_t words>
+    SVGF_HD static std::uint32_t byte(const std::uint32_t (&bytes)[words], int i) {
+        return (bytes[i >> 2] >> (8 * (i & 3))) & 0xffu;
     }
     SVGF_HD static std::uint32_t inner_slot(int s) { return (1u << 5) | std::uint32_t(inner_bit + s); }
     SVGF_HD static std::uint32_t leaf_slot(std::uint32_t first, std::uint32_t count) {
@@ -55,8 +58,8 @@ struct alignas(16) WideNode {
     // Box of the child in a slot, as wide as rays find it but for their margin.
     SVGF_HD Bounds child_box(int s) const {
         const Vec3 scale{step(0), step(1), step(2)};
-        const Vec3 from{float(byte(low[0], s)), float(byte(low[1], s)), float(byte(low[2], s))};
-        const Vec3 to{float(byte(high[0], s)), float(byte(high[1], s)), float(byte(high[2], s))};
+        const auto side = [&](int axis, int end) { return float(byte(sides[axis], 2 * s + end)); };
+        const Vec3 from{side(0, 0), side(1, 0), side(2, 0)}, to{side(0, 1), side(1, 1), side(2, 1)};
         return {origin + from * scale, origin + to * scale};
     }
 
@@ -80,16 +83,17 @@ private:
         const std::uint32_t biased = exponent < 1u ? 1u : exponent > 254u ? 254u : exponent;
         exponents_and_inner |= biased << (8 * axis);
         const double steps_per_unit = 1.0 / double(float_from_bits(biased << 23));
-        std::uint32_t low_bytes[2] = {}, high_bytes[2] = {};
+        std::uint32_t bytes[4] = {};
         for (int s = 0; s < wide_node_children; ++s) {
             if (byte(slot, s) == 0) continue;
             const double from = (double(component(child[s].low)) - double(box_low)) * steps_per_unit;
             const double to = (double(component(child[s].high)) - double(box_low)) * steps_per_unit;
             const int floor = int(from), ceiling = int(to) + (to > double(int(to)) ? 1 : 0);
-            low_bytes[s >> 2] |= std::uint32_t(floor > 255 ? 255 : floor) << (8 * (s & 3));
-            high_bytes[s >> 2] |= std::uint32_t(ceiling > 255 ? 255 : ceiling) << (8 * (s & 3));
+            const std::uint32_t both = std::uint32_t(floor > 255 ? 255 : floor) |
+                                       std::uint32_t(ceiling > 255 ? 255 : ceiling) << 8;
+            bytes[s >> 1] |= both << (16 * (s & 1));
         }
-        for (int half = 0; half < 2; ++half) low[axis][half] = low_bytes[half], high[axis][half] = high_bytes[half];
+        for (int word = 0; word < 4; ++word) sides[axis][word] = bytes[word];
     }
 };
 static_assert(sizeof(WideNode) == 80);

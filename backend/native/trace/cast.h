@@ -17,7 +17,7 @@ struct GivenRay {
 static_assert(sizeof(GivenRay) == 8 * sizeof(float));
 
 struct ClosestStage {
-    static constexpr LaunchShape launch_shape{8, 16, 6};
+    static constexpr LaunchShape launch_shape{8, 16, trace_blocks};
 
     SceneView scene;
     int width;

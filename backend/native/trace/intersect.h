@@ -43,19 +43,22 @@ struct TriangleRay {
     Vec3 origin, x, y, z;
 
     TriangleRay() = default;
-    SVGF_HD TriangleRay(Vec3 origin, Vec3 direction) : origin(origin) {
+    SVGF_HD TriangleRay(Vec3 origin, Vec3 direction)
+        : TriangleRay(origin, direction, {1 / direction.x, 1 / direction.y, 1 / direction.z}) {}
+    // inverse: of the direction, at least of its largest component.
+    SVGF_HD TriangleRay(Vec3 origin, Vec3 direction, Vec3 inverse) : origin(origin) {
         const Vec3 size = abs(direction);
         const bool along_z = size.z >= size.x && size.z >= size.y, along_y = !along_z && size.y >= size.x;
         if (along_z) {
-            z = {0, 0, 1 / direction.z};
+            z = {0, 0, inverse.z};
             x = {1, 0, -direction.x * z.z};
             y = {0, 1, -direction.y * z.z};
         } else if (along_y) {
-            z = {0, 1 / direction.y, 0};
+            z = {0, inverse.y, 0};
             x = {0, -direction.z * z.y, 1};
             y = {1, -direction.x * z.y, 0};
         } else {
-            z = {1 / direction.x, 0, 0};
+            z = {inverse.x, 0, 0};
             x = {-direction.y * z.x, 1, 0};
             y = {-direction.z * z.x, 0, 1};
         }
@@ -110,9 +113,13 @@ SVGF_HD inline bool owns_hit(const TriangleRay& ray, const LeafTriangle& triangl
 // to matter, and no product is infinite or NaN.
 constexpr float smallest_component = 1e-30f, smallest_share = 1e-15f;
 
+// Which of the two bytes of a slot expand_sides takes: as a permutation of a word and of four bytes more.
+constexpr std::uint32_t lower_sides = 0x4240u, upper_sides = 0x4341u, other_sides = lower_sides ^ upper_sides;
+
 struct BoxRay {
     Vec3 origin, inverse_direction;
-    std::uint32_t octant;  // bit k: the direction is positive along axis k
+    std::uint32_t octant;     // bit k: the direction is positive along axis k
+    std::uint32_t enters[3];  // for expand_sides, per axis: the sides of boxes by which the ray enters
 
     SVGF_HD BoxRay(Vec3 origin, Vec3 direction) : origin(origin) {
         const float smallest = max(smallest_share * max_component(abs(direction)), smallest_component);
@@ -120,6 +127,7 @@ struct BoxRay {
         inverse_direction = {inverse(direction.x), inverse(direction.y), inverse(direction.z)};
         octant = (inverse_direction.x < 0 ? 0u : 1u) | (inverse_direction.y < 0 ? 0u : 2u) |
                  (inverse_direction.z < 0 ? 0u : 4u);
+        for (int axis = 0; axis < 3; ++axis) enters[axis] = (octant >> axis) & 1u ? lower_sides : upper_sides;
     }
 };
 
@@ -127,13 +135,14 @@ struct BoxRay {
 // which may place a hit as far outside of the box.
 constexpr float box_margin = 10.0f / 16777216.0f;
 
-// The larger of three distances and t_min, and the smaller of three and t_max; t_min is not negative. On the device as
-// integers, which takes two instructions less: floats that are not negative have the order of their bits, and where one
-// is negative it loses against t_min, or else the box lies behind the ray, whichever of them is found.
-SVGF_HD inline bool overlap(Vec3 near, float t_min, Vec3 far, float t_max) {
+// Whether the largest of three distances and t_min is no larger than the smallest of three and t_max; t_min is not
+// negative. On the device as integers, which takes less instructions: floats that are not negative have the order of
+// their bits, and where one is negative it loses against 0, or else the box lies behind the ray, whichever of them is
+// found. There 0 stands for t_min, as an instruction knows it: few rays start farther away.
+SVGF_HD inline bool overlap(Vec3 near, [[maybe_unused]] float t_min, Vec3 far, float t_max) {
 #if defined(__CUDA_ARCH__)
-    const int enter = max(__vimax3_s32(__float_as_int(near.x), __float_as_int(near.y), __float_as_int(near.z)),
-                          __float_as_int(t_min));
+    const int enter =
+        __vimax3_s32_relu(__float_as_int(near.x), __float_as_int(near.y), __float_as_int(near.z));
     const int leave = min(__vimin3_s32(__float_as_int(far.x), __float_as_int(far.y), __float_as_int(far.z)),
                           __float_as_int(t_max));
     return enter <= leave;
@@ -142,27 +151,23 @@ SVGF_HD inline bool overlap(Vec3 near, float t_min, Vec3 far, float t_max) {
 #endif
 }
 
-// byte_offset plus each byte of a word. On the device by way of halves, of which 1024 + byte is one for each byte:
-// two of them are one permutation, and to float they go through another pipe than comparisons do, of which there are
-// many.
+// byte_offset plus a side of each of two slots, whose bytes are a word of WideNode::sides. On the device by way of
+// halves, of which 1024 + byte is one for each byte: two of them are one permutation, which chooses the side as well,
+// and to float they go through another pipe than comparisons do, of which there are many.
 constexpr float byte_offset = 1024.0f;
-struct FourFloats {
-    float value[4];
+struct TwoFloats {
+    float value[2];
 };
-SVGF_HD inline FourFloats expand_bytes(std::uint32_t bytes) {
+SVGF_HD inline TwoFloats expand_sides(std::uint32_t bytes, std::uint32_t which) {
 #if defined(__CUDA_ARCH__)
-    const auto pair = [](std::uint32_t halves, float& first, float& second) {
-        asm("{ .reg .b16 low, high; mov.b32 {low, high}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high; }"
-            : "=f"(first), "=f"(second)
-            : "r"(halves));
-    };
-    FourFloats result;
-    pair(__byte_perm(bytes, 0x64646464u, 0x4140), result.value[0], result.value[1]);
-    pair(__byte_perm(bytes, 0x64646464u, 0x4342), result.value[2], result.value[3]);
+    TwoFloats result;
+    asm("{ .reg .b16 low, high; mov.b32 {low, high}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high; }"
+        : "=f"(result.value[0]), "=f"(result.value[1])
+        : "r"(__byte_perm(bytes, 0x64646464u, which)));
     return result;
 #else
-    return {{byte_offset + float(bytes & 0xffu), byte_offset + float((bytes >> 8) & 0xffu),
-             byte_offset + float((bytes >> 16) & 0xffu), byte_offset + float(bytes >> 24)}};
+    const int shift = which == lower_sides ? 0 : 8;
+    return {{byte_offset + float((bytes >> shift) & 0xffu), byte_offset + float((bytes >> (shift + 16)) & 0xffu)}};
 #endif
 }
 
@@ -188,41 +193,45 @@ SVGF_HD inline std::uint32_t intersect_children(const WideNode& node, const BoxR
     const Vec3 inverse = ray.inverse_direction;
     const Vec3 scale{node.step(0) * inverse.x, node.step(1) * inverse.y, node.step(2) * inverse.z};
     const Vec3 start = (node.origin - ray.origin) * inverse;
-    const Vec3 margin = (abs(start) + abs(scale) * byte_offset) * box_margin;
-    const bool negative_x = inverse.x < 0, negative_y = inverse.y < 0, negative_z = inverse.z < 0;
-    const Vec3 from_zero = start - scale * byte_offset;
-    const Vec3 near_start = from_zero - margin, far_start = from_zero + margin;
+    const Vec3 extent = multiply_add(abs(scale), byte_offset, abs(start));
+    const Vec3 from_zero = multiply_add(scale, -byte_offset, start);
+    const Vec3 near_start = multiply_add(extent, -box_margin, from_zero);
+    const Vec3 far_start = multiply_add(extent, box_margin, from_zero);
     std::uint32_t mask = 0;
     SVGF_UNROLL
     for (int half = 0; half < 2; ++half) {
-        const FourFloats near_x = expand_bytes(negative_x ? node.high[0][half] : node.low[0][half]);
-        const FourFloats near_y = expand_bytes(negative_y ? node.high[1][half] : node.low[1][half]);
-        const FourFloats near_z = expand_bytes(negative_z ? node.high[2][half] : node.low[2][half]);
-        const FourFloats far_x = expand_bytes(negative_x ? node.low[0][half] : node.high[0][half]);
-        const FourFloats far_y = expand_bytes(negative_y ? node.low[1][half] : node.high[1][half]);
-        const FourFloats far_z = expand_bytes(negative_z ? node.low[2][half] : node.high[2][half]);
         // Four slots at once: only the shifts of inner children have both of their highest bits set.
         const std::uint32_t slots = node.slot[half];
         const std::uint32_t inner = (slots >> 4) & (slots >> 3) & 0x01010101u;
         const std::uint32_t bytes = slots ^ (inner * ray.octant);
         SVGF_UNROLL
-        for (int i = 0; i < 4; ++i) {
-            const Vec3 near{multiply_add(near_x.value[i], scale.x, near_start.x),
-                            multiply_add(near_y.value[i], scale.y, near_start.y),
-                            multiply_add(near_z.value[i], scale.z, near_start.z)};
-            const Vec3 far{multiply_add(far_x.value[i], scale.x, far_start.x),
-                           multiply_add(far_y.value[i], scale.y, far_start.y),
-                           multiply_add(far_z.value[i], scale.z, far_start.z)};
-            const std::uint32_t bits = mask_bits(bytes, i);
-            if (overlap(near, t_min, far, t_max)) mask |= bits;
+        for (int pair = 0; pair < 2; ++pair) {
+            const int word = 2 * half + pair;
+            const TwoFloats near_x = expand_sides(node.sides[0][word], ray.enters[0]);
+            const TwoFloats near_y = expand_sides(node.sides[1][word], ray.enters[1]);
+            const TwoFloats near_z = expand_sides(node.sides[2][word], ray.enters[2]);
+            const TwoFloats far_x = expand_sides(node.sides[0][word], ray.enters[0] ^ other_sides);
+            const TwoFloats far_y = expand_sides(node.sides[1][word], ray.enters[1] ^ other_sides);
+            const TwoFloats far_z = expand_sides(node.sides[2][word], ray.enters[2] ^ other_sides);
+            SVGF_UNROLL
+            for (int i = 0; i < 2; ++i) {
+                const Vec3 near{multiply_add(near_x.value[i], scale.x, near_start.x),
+                                multiply_add(near_y.value[i], scale.y, near_start.y),
+                                multiply_add(near_z.value[i], scale.z, near_start.z)};
+                const Vec3 far{multiply_add(far_x.value[i], scale.x, far_start.x),
+                               multiply_add(far_y.value[i], scale.y, far_start.y),
+                               multiply_add(far_z.value[i], scale.z, far_start.z)};
+                const std::uint32_t bits = mask_bits(bytes, 2 * pair + i);
+                if (overlap(near, t_min, far, t_max)) mask |= bits;
+            }
         }
     }
     return mask;
 }
 
-// Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 72 registers
+// Blocks of 128 threads that a multiprocessor should hold of a kernel that does nothing but trace rays: 64 registers
 // per thread.
-constexpr int trace_blocks = 7;
+constexpr int trace_blocks = 8;
 
 // --- Traversal -------------------------------------------------------------------------------------------------------
 
@@ -319,6 +328,50 @@ SVGF_HD inline bool name_owner(const SceneView& scene, const LeafTriangle& trian
     return found.instance >= 0;
 }
 
+// What a traversal needs only a few times for each ray. The device keeps it in memory and makes triangle_ray anew for
+// each triangle, and more rays fit: those that surfaces scatter take 2.17 instead of 2.41 ms in Sponza (H200).
+#if defined(__CUDA_ARCH__)
+using KeptFloat = volatile float;
+using KeptInt = volatile std::int32_t;
+#else
+using KeptFloat = float;
+using KeptInt = std::int32_t;
+#endif
+
+class KeptRay {
+public:
+    SVGF_HD explicit KeptRay(const Ray& ray)
+        : origin_{ray.origin.x, ray.origin.y, ray.origin.z},
+          direction_{ray.direction.x, ray.direction.y, ray.direction.z} {}
+
+    SVGF_HD Vec3 origin() const { return {origin_[0], origin_[1], origin_[2]}; }
+    SVGF_HD Vec3 direction() const { return {direction_[0], direction_[1], direction_[2]}; }
+
+private:
+    KeptFloat origin_[3], direction_[3];
+};
+
+class KeptHit {
+public:
+    SVGF_HD void keep(const Hit& hit) {
+        t_ = hit.t;
+        weight1_ = hit.weight1;
+        weight2_ = hit.weight2;
+        instance_ = hit.instance;
+        triangle_ = hit.triangle;
+        leaf_triangle_ = hit.leaf_triangle;
+    }
+    SVGF_HD Hit found() const { return {t_, weight1_, weight2_, instance_, triangle_, leaf_triangle_}; }
+    // Of two hits at the same distance.
+    SVGF_HD bool comes_after(const Hit& hit) const {
+        return hit.instance < instance_ || (hit.instance == instance_ && hit.triangle < triangle_);
+    }
+
+private:
+    KeptFloat t_ = infinity, weight1_ = 0, weight2_ = 0;
+    KeptInt instance_ = -1, triangle_ = -1, leaf_triangle_ = -1;
+};
+
 // For rays that every surface stops.
 struct NothingPasses {
     SVGF_HD bool operator()(const TriangleRay&, const LeafTriangle&, const Hit&) const { return false; }
@@ -341,13 +394,15 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
     const WideNode* nodes = scene.nodes;
     const LeafTriangle* triangles = nullptr;
     BoxRay box_ray(ray.origin, ray.direction);
-    TriangleRay triangle_ray(ray.origin, ray.direction);
+    Vec3 direction = ray.direction;
     float t_max = ray.t_max;
     NodeGroup group = scene.has_one_leaf ? only_leaf : root, primitives{0, 0};
     // While few threads of a warp test triangles the others wait. So what few have to test is put off, if there are
     // nodes to go on with [Ylitie17, Section 4.4]; bounce rays gain up to a half from it (H200). With those that surfaces
     // scatter it waits even if there are none, until a quarter of the warp has some: in Sponza they take 4.6 instead of
     // 5.1 ms. Camera and shadow rays would lose by it.
+    const KeptRay world(ray);
+    KeptHit best;
     const bool is_scattered = (ray.kind & (ray_kind::camera | ray_kind::shadow)) == 0;
     for (;;) {
         const int busy_threads = count_threads();
@@ -381,12 +436,11 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 instance_floor = stack.size();
                 instance = leaf.instance;
                 const MeshView& mesh = scene.meshes[placed.mesh];
-                const Vec3 origin = transform_point(placed.world_to_object, ray.origin);
-                const Vec3 direction = transform_vector(placed.world_to_object, ray.direction);
+                const Vec3 origin = transform_point(placed.world_to_object, world.origin());
+                direction = transform_vector(placed.world_to_object, world.direction());
                 nodes = mesh.nodes;
                 triangles = mesh.triangles;
                 box_ray = BoxRay(origin, direction);
-                triangle_ray = TriangleRay(origin, direction);
                 group = {leaf.first, leaf.bits};
                 if (!group.has_nodes()) stack.push(group);
                 break;
@@ -400,30 +454,31 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 break;
             }
             const LeafTriangle& triangle = load(triangles + i);
+            const TriangleRay triangle_ray(box_ray.origin, direction, box_ray.inverse_direction);
             float t, weight1, weight2;
             if (!intersect_triangle(triangle_ray, triangle, t, weight1, weight2)) continue;
             if (!(t > ray.t_min && t < ray.t_max && t <= t_max)) continue;
             Hit found{t, weight1, weight2, instance, triangle.index, std::int32_t(i)};
             if (!name_owner(scene, triangle, found)) continue;
             if constexpr (!any_hit) {
-                const bool closer = t < t_max || found.instance < hit.instance ||
-                                    (found.instance == hit.instance && found.triangle < hit.triangle);
-                if (!closer) continue;
+                if (t == t_max && !best.comes_after(found)) continue;
             }
             if (passes(triangle_ray, triangle, found)) continue;
             if constexpr (any_hit) return true;
             t_max = t;
-            hit = found;
+            best.keep(found);
         }
         if (group.has_nodes() || primitives.bits) continue;
         if (stack.is_empty()) break;
         if (instance >= 0 && stack.size() == instance_floor) {
             instance = -1;
             nodes = scene.nodes;
-            box_ray = BoxRay(ray.origin, ray.direction);
+            box_ray = BoxRay(world.origin(), world.direction());
         }
         group = stack.pop();
     }
+    if constexpr (!any_hit)
+        if (t_max < ray.t_max) hit = best.found();
     return t_max < ray.t_max;
 }
 #endif

@@ -11,25 +11,34 @@
 #include <immintrin.h>
 
 #include <array>
-#include <cstddef>
 
 #include "trace/intersect.h"
 
 namespace svgf {
 
-// Where in a WideNode the sides of its children are that a ray enters and leaves by, for each octant of directions: bit
-// k is set where the direction is negative along axis k.
+// Permutations of the bytes of WideNode::sides along an axis, twice the same 16: where boxes begin or end, as integers.
+struct alignas(32) SidePermutation {
+    std::int8_t byte[32];
+};
+constexpr SidePermutation side_permutation(int end) {
+    SidePermutation permutation{};
+    for (int i = 0; i < 32; ++i) permutation.byte[i] = i % 4 == 0 ? std::int8_t(i / 2 + end) : std::int8_t(-1);
+    return permutation;
+}
+constexpr SidePermutation permutation_of_end[2] = {side_permutation(0), side_permutation(1)};
+
+// Which end of boxes a ray enters and leaves by, for each octant of directions: bit k is set where the direction is
+// negative along axis k.
 struct NodeSides {
-    std::uint32_t near[3], far[3];
+    const SidePermutation *near[3], *far[3];
 };
 constexpr std::array<NodeSides, 8> sides_of_octant = [] {
     std::array<NodeSides, 8> sides{};
     for (std::uint32_t octant = 0; octant < 8; ++octant)
         for (std::uint32_t axis = 0; axis < 3; ++axis) {
-            const std::uint32_t low = offsetof(WideNode, low) + 8 * axis, high = offsetof(WideNode, high) + 8 * axis;
             const bool is_negative = (octant >> axis) & 1u;
-            sides[octant].near[axis] = is_negative ? high : low;
-            sides[octant].far[axis] = is_negative ? low : high;
+            sides[octant].near[axis] = &permutation_of_end[is_negative ? 1 : 0];
+            sides[octant].far[axis] = &permutation_of_end[is_negative ? 0 : 1];
         }
     return sides;
 }();
@@ -77,7 +86,6 @@ struct EightBoxRay {
 SVGF_ALWAYS_INLINE inline std::uint32_t intersect_eight(const WideNode& node, const EightBoxRay& ray, float t_min,
                                                         float t_max, float (&enter)[wide_node_children]) {
     const auto absolute = [](__m128 v) { return _mm_andnot_ps(_mm_set1_ps(-0.0f), v); };
-    const char* const bytes = reinterpret_cast<const char*>(&node);
     // The fourth lane of the first 16 bytes is no coordinate.
     const __m128 origin = _mm_blend_ps(_mm_load_ps(&node.origin.x), ray.origin, 8);
     const __m128i exponents = _mm_cvtepu8_epi32(_mm_cvtsi32_si128(int(node.exponents_and_inner & 0x00ffffffu)));
@@ -92,14 +100,16 @@ SVGF_ALWAYS_INLINE inline std::uint32_t intersect_eight(const WideNode& node, co
     const auto lane = [](__m128 v, int axis) {
         return _mm256_permutevar8x32_ps(_mm256_castps128_ps256(v), _mm256_set1_epi32(axis));
     };
-    const auto distances = [&](std::uint32_t offset, __m128 from, int axis) {
-        const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes + offset)));
+    const auto distances = [&](const SidePermutation* side, __m128 from, int axis) {
+        const __m128i sides = _mm_load_si128(reinterpret_cast<const __m128i*>(node.sides[axis]));
+        const __m256i both = _mm256_broadcastsi128_si256(sides);
+        const __m256i words = _mm256_shuffle_epi8(both, _mm256_load_si256(reinterpret_cast<const __m256i*>(side)));
         return _mm256_fmadd_ps(_mm256_cvtepi32_ps(words), lane(scale, axis), lane(from, axis));
     };
-    const NodeSides& sides = *ray.sides;
-    const __m256 near_x = distances(sides.near[0], near_start, 0), far_x = distances(sides.far[0], far_start, 0);
-    const __m256 near_y = distances(sides.near[1], near_start, 1), far_y = distances(sides.far[1], far_start, 1);
-    const __m256 near_z = distances(sides.near[2], near_start, 2), far_z = distances(sides.far[2], far_start, 2);
+    const NodeSides& ends = *ray.sides;
+    const __m256 near_x = distances(ends.near[0], near_start, 0), far_x = distances(ends.far[0], far_start, 0);
+    const __m256 near_y = distances(ends.near[1], near_start, 1), far_y = distances(ends.far[1], far_start, 1);
+    const __m256 near_z = distances(ends.near[2], near_start, 2), far_z = distances(ends.far[2], far_start, 2);
     const __m256 entered = _mm256_max_ps(_mm256_max_ps(near_x, near_y), _mm256_max_ps(near_z, _mm256_set1_ps(t_min)));
     const __m256 left = _mm256_min_ps(_mm256_min_ps(far_x, far_y), _mm256_min_ps(far_z, _mm256_set1_ps(t_max)));
     _mm256_store_ps(enter, entered);
