@@ -86,6 +86,16 @@ public:
         StreamScope(Device&, std::optional<uintptr_t>) {}
     };
 
+    // As on CUDA; here one launch runs after the other.
+    struct Fork {
+        explicit Fork(Device&) {}
+        template <class Launches>
+        void beside(const Launches& launches) {
+            launches();
+        }
+        void join() {}
+    };
+
     // Milliseconds per stage since the last call, in launch order; by_launch: one row for each of its launches.
     std::vector<std::pair<std::string, double>> take_timings(bool by_launch = false);
 

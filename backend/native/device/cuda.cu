@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <string_view>
+#include <utility>
 
 #include "device/device.h"
 
@@ -41,7 +42,9 @@ std::string hint_for(cudaError_t error) {
 Device::Device(int index) : index_(index) {
     check(cudaSetDevice(index), "");
     check(cudaStreamCreate(&own_stream_), "");
+    check(cudaStreamCreateWithFlags(&side_stream_, cudaStreamNonBlocking), "");
     check(cudaEventCreateWithFlags(&last_work_, cudaEventDisableTiming), "");
+    check(cudaEventCreateWithFlags(&side_work_, cudaEventDisableTiming), "");
     stream_ = own_stream_;
     // A pool of its own, so that neither other libraries' memory nor the driver's trimming gets mixed up with it.
     cudaMemPoolProps properties = {};
@@ -66,6 +69,8 @@ Device::~Device() {
     }
     for (auto event : free_events_) cudaEventDestroy(event);
     cudaEventDestroy(last_work_);
+    cudaEventDestroy(side_work_);
+    cudaStreamDestroy(side_stream_);
     cudaStreamDestroy(own_stream_);
     cudaMemPoolDestroy(pool_);
 }
@@ -159,6 +164,19 @@ Device::StreamScope::~StreamScope() {
     cudaEventRecord(device_->last_work_, device_->stream_);
     device_->stream_ = device_->own_stream_;
     device_->must_wait_ = true;
+}
+
+Device::Beside::Beside(Device& device) : device_(device), main_(device.stream()) {
+    device.check(cudaEventRecord(device.side_work_, main_), device.last_stage_);
+    device.check(cudaStreamWaitEvent(device.side_stream_, device.side_work_), device.last_stage_);
+    device.stream_ = device.side_stream_;
+    device.is_forked_ = true;
+}
+
+cudaError_t Device::join() {
+    if (!std::exchange(is_forked_, false)) return cudaSuccess;
+    const cudaError_t error = cudaEventRecord(side_work_, side_stream_);
+    return error != cudaSuccess ? error : cudaStreamWaitEvent(stream_, side_work_);
 }
 
 void Device::let_wait(uintptr_t other_stream) {
@@ -255,9 +273,26 @@ void Device::end_stage(const char* name) {
 std::vector<std::pair<std::string, double>> Device::take_timings(bool by_launch) {
     synchronize();
     std::vector<std::pair<std::string, double>> timings;
-    for (const auto& span : spans_) {
+    // Of launches beside each other each moment counts for the one that began first.
+    const auto elapsed = [&](cudaEvent_t begin, const Span& span, cudaEvent_t end) {
         float milliseconds = 0;
-        check(cudaEventElapsedTime(&milliseconds, span.begin, span.end), span.name);
+        check(cudaEventElapsedTime(&milliseconds, begin, end), span.name);
+        return milliseconds;
+    };
+    std::vector<std::pair<float, size_t>> order;
+    for (size_t i = 0; i < spans_.size(); ++i)
+        order.emplace_back(elapsed(spans_.front().begin, spans_[i], spans_[i].begin), i);
+    std::sort(order.begin(), order.end());
+    std::vector<float> times(spans_.size());
+    float counted_until = 0;
+    for (const auto& [begin, i] : order) {
+        const float whole = elapsed(spans_[i].begin, spans_[i], spans_[i].end);
+        times[i] = std::max(0.0f, whole - std::max(0.0f, counted_until - begin));
+        counted_until = std::max(counted_until, begin + whole);
+    }
+    for (size_t i = 0; i < spans_.size(); ++i) {
+        const Span& span = spans_[i];
+        const float milliseconds = times[i];
         free_events_.push_back(span.begin);
         free_events_.push_back(span.end);
         const std::string_view launch = span.name;

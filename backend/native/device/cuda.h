@@ -168,6 +168,26 @@ public:
     // What another stream does from here on sees all work until now.
     void let_wait(uintptr_t other_stream);
 
+    // Launches that run beside those that come after them, so that neither waits for the other's last threads. They see
+    // all work until then; what comes after join(), or after the fork, sees theirs. They must not allocate.
+    class Fork {
+    public:
+        explicit Fork(Device& device) : device_(device) {}
+        ~Fork() { device_.join(); }
+        Fork(const Fork&) = delete;
+        Fork& operator=(const Fork&) = delete;
+
+        template <class Launches>
+        void beside(const Launches& launches) {
+            const Beside scope(device_);
+            launches();
+        }
+        void join() { device_.check(device_.join(), device_.last_stage_); }
+
+    private:
+        Device& device_;
+    };
+
 private:
     struct Span {
         const char* name;
@@ -187,6 +207,18 @@ private:
     // Where to put the next piece of work; waits for what the last stream had to do.
     cudaStream_t stream();
 
+    // While it lives, launches go to the side stream.
+    class Beside {
+    public:
+        explicit Beside(Device& device);
+        ~Beside() { device_.stream_ = main_; }
+
+    private:
+        Device& device_;
+        cudaStream_t main_;
+    };
+    cudaError_t join();
+
     void begin_stage(const char* name);
     void end_stage(const char* name);
     void check(cudaError_t error, const char* stage) const;
@@ -197,6 +229,9 @@ private:
     // arrays can be handed over in both directions without waiting.
     cudaStream_t own_stream_ = nullptr;
     cudaStream_t stream_ = nullptr;      // that work goes to now
+    cudaStream_t side_stream_ = nullptr;
+    cudaEvent_t side_work_ = nullptr;
+    bool is_forked_ = false;             // nothing waits for the side stream yet
     cudaEvent_t last_work_ = nullptr;    // on a caller's stream
     bool must_wait_ = false;             // the own stream, for last_work_
 

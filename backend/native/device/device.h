@@ -8,6 +8,7 @@
 //   launch_tiles(name, stage)                           tiles of pixels that share what they read, see below
 //   take_timings, synchronize, interrupt
 //   StreamScope                                         work on a caller's stream for a while
+//   Fork                                                launches that run beside others
 //
 // A stage is a plain struct with named fields and `SVGF_HD void operator()(...) const`. Its name is at once the row in
 // the timings, the profiler's range and what an error message says. Where one stage takes several launches, theirs go

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -142,7 +143,8 @@ private:
     std::vector<Image> trace_with(const Frame& frame);
     template <Effects kernel>
     void trace_wavefront(const Frame& frame, PathVertices<kernel> vertices, const GbufferStage<kernel>& gbuffer,
-                         bool writes_gbuffer, bool same_rays, RadianceImages out);
+                         bool writes_gbuffer, bool same_rays, RadianceImages out,
+                         const std::function<void()>& follow_chains);
 
     void find_opacity();
 
