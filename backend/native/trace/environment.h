@@ -23,13 +23,17 @@ SVGF_HD inline Vec2 equirectangular_uv(Vec3 direction) {
             0.5f + std::atan2(direction.z, std::sqrt(direction.x * direction.x + direction.y * direction.y)) / pi};
 }
 
+SVGF_HD SVGF_NOINLINE inline Vec3 sample_environment_image(const SceneView& scene, std::int32_t texture,
+                                                           Vec3 direction) {
+    const Vec2 uv = equirectangular_uv(rotate(scene.world.to_environment, direction));
+    return sample_texture(scene.textures[texture], uv).xyz();
+}
+
 SVGF_HD inline Vec3 environment_radiance(const SceneView& scene, Vec3 direction, bool is_backdrop = false) {
     const WorldView& world = scene.world;
     const Vec3 radiance = is_backdrop ? world.backdrop_radiance : world.radiance;
     const std::int32_t texture = is_backdrop ? world.backdrop_texture : world.texture;
-    if (texture < 0) return radiance;
-    const Vec2 uv = equirectangular_uv(rotate(world.to_environment, direction));
-    return radiance * sample_texture(scene.textures[texture], uv).xyz();
+    return texture < 0 ? radiance : radiance * sample_environment_image(scene, texture, direction);
 }
 
 // The i with cdf[i] <= u < cdf[i + 1], of `count` intervals. u becomes the place within it, in [0, 1).
@@ -55,7 +59,7 @@ SVGF_HD inline float environment_cell_density(const WorldView& world, int row, i
 }
 
 // With which sample_environment finds a unit direction.
-SVGF_HD inline float environment_density(const WorldView& world, Vec3 direction) {
+SVGF_HD SVGF_NOINLINE inline float environment_density(const WorldView& world, Vec3 direction) {
     const Vec3 local = rotate(world.to_environment, direction);
     const Vec2 uv = equirectangular_uv(local);
     return environment_cell_density(world, clamp(int(uv.y * float(world.rows)), 0, world.rows - 1),
@@ -64,7 +68,7 @@ SVGF_HD inline float environment_density(const WorldView& world, Vec3 direction)
 }
 
 // Returns a unit direction and sets its density.
-SVGF_HD inline Vec3 sample_environment(const WorldView& world, Vec2 u, float& density) {
+SVGF_HD SVGF_NOINLINE inline Vec3 sample_environment(const WorldView& world, Vec2 u, float& density) {
     const int row = choose_interval(world.row_cdf, world.rows, u.y);
     const int column = choose_interval(world.column_cdf + row * (world.columns + 1), world.columns, u.x);
     const float elevation = ((float(row) + u.y) / float(world.rows) - 0.5f) * pi;

@@ -91,15 +91,21 @@ SVGF_HD SVGF_NOINLINE inline float find_light_choice(const LightsView& lights, V
     const int first_node = (1 << level) - 1, count = everywhere + (lights.nodes ? 1 << level : 0);
     const bool is_given = light >= 0;
     const int leaf = is_given ? lights.rows[light].leaf : -1;
-    // Of the lights that are everywhere, and of the nodes after them. Estimated again where it is needed again: an array
-    // of them would lie in the device's memory.
+    // Of the lights that are everywhere, and of the nodes after them, which are kept: estimating them again takes longer
+    // than reading.
+    float of_node[1 << start_level];
     const auto importance = [&](int i) {
-        if (i < everywhere) return estimate_irradiance(lights.rows[i], normal);
-        if (count == 1) return 1.0f;  // with nothing beside it there is nothing to weigh
-        return light_importance(load(lights.nodes + first_node + i - everywhere), point, normal);
+        return i < everywhere ? estimate_irradiance(lights.rows[i], normal) : of_node[i - everywhere];
     };
     float total = 0.0f, width = 0.0f;
-    for (int i = 0; i < count; ++i) total += importance(i);
+    SVGF_NO_UNROLL
+    for (int i = 0; i < count; ++i) {
+        // With nothing beside it there is nothing to weigh.
+        if (i >= everywhere)
+            of_node[i - everywhere] =
+                count == 1 ? 1.0f : light_importance(load(lights.nodes + first_node + i - everywhere), point, normal);
+        total += importance(i);
+    }
     int start = -1;
     if (is_given) {
         start = light < everywhere ? light : leaf >= 0 ? everywhere + (leaf >> (depth - level)) : -1;

@@ -102,7 +102,7 @@ SVGF_HD inline float spread_attenuation(const Light& light, float cosine) {
 }
 
 // Where the emission of triangles is an image: its value at a point of one, given the weights of the edges.
-SVGF_HD inline Vec3 sample_emission_map(const SceneView& scene, const Light& light, Vec2 share) {
+SVGF_HD SVGF_NOINLINE inline Vec3 sample_emission_map(const SceneView& scene, const Light& light, Vec2 share) {
     const EmissionMap& map = scene.lights.emission_maps[light.emission_map];
     const Vec2 edge1 = map.corner[1] - map.corner[0], edge2 = map.corner[2] - map.corner[0];
     const Vec2 uv = map.corner[0] + edge1 * share.x + edge2 * share.y;

@@ -84,8 +84,8 @@ struct MapOnTriangle {
         Range range{infinity, -infinity};
         for (int y = first_y; y <= last_y; ++y)
             for (int x = first_x; x <= last_x; ++x) {
-                const Vec4 texel = load_texel(texture, wrapped(x, texture.width), wrapped(y, texture.height));
-                const float value = channel_of(texel, map.channel);
+                const float value = channel_of(
+                    load_texel(texture, wrapped(x, texture.width), wrapped(y, texture.height)), map.channel);
                 range = {min(range.low, value), max(range.high, value)};
                 if (range.opacity() == OpacityClass::cut_out) return range;
             }

@@ -33,6 +33,12 @@ struct Gathered {
     Vec3 emission, first, second;
     float alpha = 1;
     float hit_distance = 0;  // see Tracer::trace
+
+    SVGF_HD void add_emission(Vec3 value) { emission += value; }
+    SVGF_HD void add_first(Vec3 value) { first += value; }
+    SVGF_HD void add_second(Vec3 value) { second += value; }
+    SVGF_HD void take_alpha(float value) { alpha -= value; }
+    SVGF_HD void set_hit_distance(float value) { hit_distance = value; }
 };
 
 // What a path carries from one vertex to the next.
@@ -62,6 +68,14 @@ struct ShadowRay {
     int surfaces = 0;  // that it may pass straight at most
 
     SVGF_HD bool exists() const { return max_component(light) > 0.0f; }
+};
+
+// Where a vertex leaves the rays that it sends to lights. last: of its path, see find_last_ray.
+struct LightRays {
+    ShadowRay shadow, last;
+
+    SVGF_HD void put_shadow(const ShadowRay& ray) { shadow = ray; }
+    SVGF_HD void put_last(const ShadowRay& ray) { last = ray; }
 };
 
 // Is shown what the camera's rays see, on the way of their paths.
@@ -94,17 +108,18 @@ struct PathVertices {
         return find_path_hit<kernel>(scene, ray, sampler, vertex, allowed(transparent_bounces));
     }
 
-    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. last:
-    // set instead where that is its last one and looks for what is known. seen: is shown what the G-buffer holds.
-    template <class Seen = Unseen>
-    SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Gathered& light,
-                       ShadowRay& shadow, ShadowRay& last, const Seen& seen = {}) const {
+    // What the path finds where its ray ended, at vertex 0 first. Returns whether it goes on, with its next ray. rays:
+    // are given those to lights, the path's last one among them where what it looks for is known. seen: is shown what
+    // the G-buffer holds.
+    template <class Sum, class Rays, class Seen = Unseen>
+    SVGF_HD bool shade(const Sampler& sampler, int vertex, const Hit& hit, Path& path, Sum& light, Rays& rays,
+                       const Seen& seen = {}) const {
         Ray& ray = path.ray;
         const bool is_known = is_in_chain_light(path);
         path.transparent_bounces += hit.passed;
         if (!is_known && (scene.lights.sized_lamps_seen_by & ray.kind)) add_lamps(path, hit, light);
         if (!hit.found()) {
-            if (path.measures_distance) light.hit_distance = background_depth;
+            if (path.measures_distance) light.set_hit_distance(background_depth);
             seen.background(path);
             if (!is_known) add_world(path, light);
             return false;
@@ -128,7 +143,7 @@ struct PathVertices {
             }
         }
         if constexpr (covers(kernel, Effects::specular)) {
-            if (path.measures_distance) light.hit_distance = hit.t;
+            if (path.measures_distance) light.set_hit_distance(hit.t);
             path.measures_distance = false;
         }
         if (path.ends) return false;
@@ -143,7 +158,7 @@ struct PathVertices {
         if constexpr (has_limits) simplify(path, surface.material);
         const Bsdf<kernel> bsdf(scene, surface, -ray.direction);
         seen.surface(path, surface, hit, bsdf);
-        if (scene.lights.choices > 0) find_direct_light(numbers, path, surface, hit, bsdf, shadow);
+        if (scene.lights.choices > 0) find_direct_light(numbers, path, surface, hit, bsdf, rays);
 
         BsdfSample next = bsdf.sample(numbers.pair(SamplePair::direction), lobe_and_roulette.x);
         if constexpr (has_limits) keep(next.weight, allowed_kinds(path), next.event == BsdfEvent::transmission);
@@ -153,7 +168,7 @@ struct PathVertices {
         count_bounce(path, next);
         path.normal = bsdf.lit_normal();
         ray = {offset_from_surface(surface, next.direction), next.direction, 0.0f, infinity, kind_of(next.event)};
-        return !(path.ends && find_last_ray(path, last));
+        return !(path.ends && find_last_ray(path, rays));
     }
 
     // Adds what arrives of a shadow ray that left vertex `vertex`.
@@ -167,7 +182,8 @@ struct PathVertices {
     SVGF_HD Vec3 find_arriving(const Sampler& sampler, int vertex, const Ray& ray, int surfaces) const {
         return find_transmittance_along<kernel>(scene, ray, sampler, vertex, surfaces);
     }
-    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Gathered& light) const {
+    template <class Sum>
+    SVGF_HD void add_share(const ShadowRay& shadow, Vec3 share, Sum& light) const {
         add(light, shadow.light * share, shadow.diffuse_share, shadow.bounces, shadow.links);
     }
 
@@ -186,7 +202,8 @@ private:
 
     // Where surfaces do not shine, and no lamp stands in its way, the last ray of a path finds what is infinitely far,
     // if it arrives there: it is a shadow ray. Returns false where it is not.
-    SVGF_HD bool find_last_ray(const Path& path, ShadowRay& last) const {
+    template <class Rays>
+    SVGF_HD bool find_last_ray(const Path& path, Rays& rays) const {
         if (!scene.last_hits_are_dark || path.measures_distance) return false;
         if (has_limits && limits.has_clamps()) return false;  // which are of what arrives at once
         Vec3 found;
@@ -199,7 +216,8 @@ private:
         }
         found += find_world(path);
         if (is_in_chain_light(path)) found = {};
-        last = {path.ray, found, path.diffuse_share, path.bounces, path.links, allowed(path.transparent_bounces)};
+        rays.put_last(
+            {path.ray, found, path.diffuse_share, path.bounces, path.links, allowed(path.transparent_bounces)});
         return true;
     }
 
@@ -284,19 +302,20 @@ private:
 
     // bounces: between the camera and the light; links: those that lead to the seen surface. A value that is not finite
     // is dropped.
-    SVGF_HD void add(Gathered& light, Vec3 value, Vec3 diffuse_share, int bounces, int links) const {
+    template <class Sum>
+    SVGF_HD void add(Sum& light, Vec3 value, Vec3 diffuse_share, int bounces, int links) const {
         if (!is_finite(value)) return;
         if constexpr (has_limits) value = limits.clamped(value, bounces);
         bounces -= links;
         if (bounces == 0) {
-            light.emission += value;
-        } else if (splits_direct) {
-            (bounces == 1 ? light.first : light.second) += value;
-        } else if (covers(kernel, Effects::specular) && two_signals) {
-            light.first += diffuse_share * value;
-            light.second += (1.0f - diffuse_share) * value;
+            light.add_emission(value);
+        } else if (splits_direct && bounces > 1) {
+            light.add_second(value);
+        } else if (covers(kernel, Effects::specular) && two_signals && !splits_direct) {
+            light.add_first(diffuse_share * value);
+            light.add_second((1.0f - diffuse_share) * value);
         } else {
-            light.first += value;
+            light.add_first(value);
         }
     }
 
@@ -306,7 +325,8 @@ private:
     SVGF_HD Vec3 found_light(const Path& path, Vec3 radiance, const LightPdf& light_pdf) const {
         return path.throughput * radiance * (path.delta ? 1.0f : power_heuristic(path.pdf, light_pdf()));
     }
-    SVGF_HD void add(Gathered& light, const Path& path, Vec3 value) const {
+    template <class Sum>
+    SVGF_HD void add(Sum& light, const Path& path, Vec3 value) const {
         add(light, value, path.diffuse_share, path.bounces, path.links);
     }
 
@@ -327,7 +347,8 @@ private:
         return true;
     }
     // Lamps stop no ray: all that are crossed before the hit shine.
-    SVGF_HD void add_lamps(const Path& path, const Hit& hit, Gathered& light) const {
+    template <class Sum>
+    SVGF_HD void add_lamps(const Path& path, const Hit& hit, Sum& light) const {
         for (int i = 0; i < sized_lamp_count(path.ray); ++i) {
             Vec3 value;
             if (find_lamp(path, scene.lights.rows[i], hit.t, value)) add(light, path, value);
@@ -347,14 +368,16 @@ private:
         }
         return path.throughput * (is_backdrop ? scene.world.backdrop_radiance : scene.world.radiance);
     }
-    SVGF_HD void add_world(const Path& path, Gathered& light) const {
+    template <class Sum>
+    SVGF_HD void add_world(const Path& path, Sum& light) const {
         if (transparent_film && path.bounces == 0)
-            light.alpha -= (path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f;
+            light.take_alpha((path.throughput.x + path.throughput.y + path.throughput.z) / 3.0f);
         else
             add(light, path, find_world(path));
     }
 
-    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, Gathered& light) const {
+    template <class Sum>
+    SVGF_HD void add_emission(const Path& path, const Surface& surface, const Hit& hit, Sum& light) const {
         add(light, path, found_light(path, surface.emission, [&] {
                 const Light* row = find_light(scene, hit);
                 if (!row) return 0.0f;
@@ -364,8 +387,9 @@ private:
             }));
     }
 
+    template <class Rays>
     SVGF_HD void find_direct_light(const VertexSampler& numbers, const Path& path, const Surface& surface,
-                                   const Hit& hit, const Bsdf<kernel>& bsdf, ShadowRay& shadow) const {
+                                   const Hit& hit, const Bsdf<kernel>& bsdf, Rays& rays) const {
         const LightChoice choice = choose_light<kernel>(scene.lights, surface.position, bsdf.lit_normal(),
                                                         numbers.pair(SamplePair::light));
         if (choice.index < 0) return;
@@ -381,6 +405,7 @@ private:
         const Vec3 arriving = path.throughput * value.total() * found.radiance * fast_quotient(mis, found.pdf);
         if (!(max_component(arriving) > 0.0f)) return;
         const Vec3 origin = find_shadow_origin<kernel>(scene, surface, hit, found.direction);
+        ShadowRay shadow;
         shadow.ray = {origin, found.direction, 0.0f, infinity, ray_kind::shadow};
         if (found.distance < infinity) {
             // To the very point: beside it, a light that is seen at an angle would shadow itself.
@@ -392,6 +417,7 @@ private:
         shadow.bounces = path.bounces + 1;
         shadow.links = path.links;
         shadow.surfaces = limits.transparent_bounces - path.transparent_bounces;
+        rays.put_shadow(shadow);
     }
 };
 
@@ -479,7 +505,7 @@ private:
         Path path;
         Hit hit;
         Gathered light;
-        ShadowRay shadow, last;
+        LightRays rays;
 
         explicit State(int pixel) : pixel(pixel) {}
     };
@@ -512,16 +538,16 @@ private:
             int shadows = 0;
             for (int i = 0; i < tried; ++i) {
                 State& state = batch[active[i]];
-                state.shadow = state.last = {};
+                state.rays = {};
                 const bool goes_on = vertices.shade(sampler_of(state), vertex, state.hit, state.path, state.light,
-                                                    state.shadow, state.last, SeenByCamera<kernel>{gbuffer, state.pixel});
-                if (state.shadow.exists() || state.last.exists()) shadowed[shadows++] = active[i];
+                                                    state.rays, SeenByCamera<kernel>{gbuffer, state.pixel});
+                if (state.rays.shadow.exists() || state.rays.last.exists()) shadowed[shadows++] = active[i];
                 if (goes_on) active[count++] = active[i];
             }
             for (int i = 0; i < shadows; ++i) {
                 State& state = batch[shadowed[i]];
-                vertices.add_arriving(sampler_of(state), vertex, state.shadow, state.light);
-                vertices.add_arriving(sampler_of(state), vertex, state.last, state.light);
+                vertices.add_arriving(sampler_of(state), vertex, state.rays.shadow, state.light);
+                vertices.add_arriving(sampler_of(state), vertex, state.rays.last, state.light);
             }
         }
         for (int i = 0; i < batch.size; ++i) out.add(batch[i].pixel, batch[i].light);

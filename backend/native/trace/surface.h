@@ -82,15 +82,14 @@ SVGF_HD inline void set_input(Material& material, MaterialInput input, Vec4 texe
     }
 }
 
-SVGF_HD inline Vec2 map_uv(const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
-    const Vec2 uv = interpolate_uv(mesh, map.uv_layer, hit);
+// uv: of the map's layer.
+SVGF_HD inline Vec2 transform_uv(const MaterialMap& map, Vec2 uv) {
     const float* m = map.uv_transform;
     return {m[0] * uv.x + m[1] * uv.y + m[2], m[3] * uv.x + m[4] * uv.y + m[5]};
 }
 
-// RGBA, linear.
-SVGF_HD inline Vec4 sample_map(const SceneView& scene, const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
-    return sample_texture(load(scene.textures + map.texture), map_uv(mesh, map, hit));
+SVGF_HD inline Vec2 map_uv(const MeshView& mesh, const MaterialMap& map, const Hit& hit) {
+    return transform_uv(map, interpolate_uv(mesh, map.uv_layer, hit));
 }
 
 SVGF_HD inline void prefetch_maps([[maybe_unused]] const SceneView& scene, [[maybe_unused]] const MeshView& mesh,
@@ -105,10 +104,13 @@ SVGF_HD inline void prefetch_maps([[maybe_unused]] const SceneView& scene, [[may
 
 SVGF_HD inline void apply_maps(const SceneView& scene, const MeshView& mesh, const Hit& hit, Material& material) {
     Vec4 texel;
+    Vec2 uv;
+    std::int32_t uv_layer = -1;  // that uv is of
     SVGF_NO_UNROLL
     for (std::int32_t i = 0; i < material.map_count; ++i) {
         const MaterialMap map = load(scene.material_maps + material.map_start + i);
-        if (map.same_texel == 0) texel = sample_map(scene, mesh, map, hit);
+        if (map.uv_layer != uv_layer) uv = interpolate_uv(mesh, uv_layer = map.uv_layer, hit);
+        if (map.same_texel == 0) texel = sample_texture(load(scene.textures + map.texture), transform_uv(map, uv));
         set_input(material, map.input, texel, map.channel);
     }
 }

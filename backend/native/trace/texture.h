@@ -34,14 +34,15 @@ SVGF_HD inline float reduce_coordinate(float u, Extension extension) {
     return clamp(u, -2.0f, 3.0f);
 }
 
+SVGF_HD inline Vec4 expand_texel(std::uint32_t texel) {  // to 0..255
+    return {float(texel & 0xffu), float((texel >> 8) & 0xffu), float((texel >> 16) & 0xffu), float(texel >> 24)};
+}
+
 // RGBA as stored, at what wrap_texel returned; 0 where the image does not cover it.
 SVGF_HD inline Vec4 load_texel(const TextureView& texture, int x, int y) {
     if (x < 0 || y < 0) return {};
     const int i = y * texture.width + x;
-    if (!texture.bytes) return texture.floats[i];
-    const std::uint32_t texel = texture.bytes[i];
-    return Vec4{float(texel & 0xffu), float((texel >> 8) & 0xffu), float((texel >> 16) & 0xffu), float(texel >> 24)} *
-           (1.0f / 255.0f);
+    return texture.bytes ? expand_texel(texture.bytes[i]) * (1.0f / 255.0f) : texture.floats[i];
 }
 
 // Weight of texel `index`, 0 being the last one with its centre before the point, and share the part of the way from
@@ -56,39 +57,106 @@ SVGF_HD inline float texel_weight(Interpolation interpolation, float share, int 
     return rest * rest * rest * (1.0f / 6.0f);
 }
 
-// RGBA, as stored but for alpha in colours, at uv, (0, 0) being the image's bottom left corner. Two by two texels at
-// once, four times for cubic.
+// Where a lookup lies among the texels: between columns `left` and left + 1, rows `below` and below + 1.
+struct TexelPoint {
+    int left, below;
+    float x_share, y_share;
+
+    // uv: (0, 0) is the image's bottom left corner.
+    SVGF_HD TexelPoint(const TextureView& texture, Vec2 uv) {
+        const float x = reduce_coordinate(uv.x, texture.extension) * float(texture.width) - 0.5f;
+        const float y = reduce_coordinate(uv.y, texture.extension) * float(texture.height) - 0.5f;
+        left = int(std::floor(x));
+        below = int(std::floor(y));
+        x_share = x - std::floor(x);
+        y_share = y - std::floor(y);
+    }
+};
+
+// Place and weight of column or row number `index` of an image; 0 and 0 where the image does not cover it.
+SVGF_HD inline void weigh_line(const TextureView& texture, int size, int first, float share, int index, int& place,
+                               float& weight) {
+    place = wrap_texel(first + index, size, texture.extension);
+    weight = place < 0 ? 0.0f : texel_weight(texture.interpolation, share, index);
+    place = max(place, 0);
+}
+
+// RGBA, as stored. Two by two texels at once, four times for cubic: all are read before the first is waited for.
 SVGF_HD inline Vec4 filter_texture(const TextureView& texture, Vec2 uv) {
-    const float x = reduce_coordinate(uv.x, texture.extension) * float(texture.width) - 0.5f;
-    const float y = reduce_coordinate(uv.y, texture.extension) * float(texture.height) - 0.5f;
-    const float left = std::floor(x), below = std::floor(y);
-    const float x_share = x - left, y_share = y - below;
+    const TexelPoint point(texture, uv);
     const bool is_cubic = texture.interpolation == Interpolation::cubic;
     Vec4 sum;
     SVGF_NO_UNROLL
     for (int quad = 0; quad < (is_cubic ? 4 : 1); ++quad) {
         const int i = is_cubic ? 2 * (quad & 1) - 1 : 0, j = is_cubic ? 2 * (quad >> 1) - 1 : 0;
-        const float west = texel_weight(texture.interpolation, x_share, i);
-        const float east = texel_weight(texture.interpolation, x_share, i + 1);
-        const int west_column = wrap_texel(int(left) + i, texture.width, texture.extension);
-        const int east_column = wrap_texel(int(left) + i + 1, texture.width, texture.extension);
-        for (int row = 0; row < 2; ++row) {
-            const int line = wrap_texel(int(below) + j + row, texture.height, texture.extension);
-            const float weight = texel_weight(texture.interpolation, y_share, j + row);
-            sum += load_texel(texture, west_column, line) * (west * weight);
-            sum += load_texel(texture, east_column, line) * (east * weight);
+        int column[2], row[2], place[4];
+        float across[2], along[2], weight[4];
+        for (int k = 0; k < 2; ++k) {
+            weigh_line(texture, texture.width, point.left, point.x_share, i + k, column[k], across[k]);
+            weigh_line(texture, texture.height, point.below, point.y_share, j + k, row[k], along[k]);
+        }
+        for (int k = 0; k < 4; ++k) {
+            place[k] = row[k >> 1] * texture.width + column[k & 1];
+            weight[k] = across[k & 1] * along[k >> 1];
+        }
+        const auto add = [&](Vec4 texel, float share) {
+            sum = {multiply_add(texel.x, share, sum.x), multiply_add(texel.y, share, sum.y),
+                   multiply_add(texel.z, share, sum.z), multiply_add(texel.w, share, sum.w)};
+        };
+        if (texture.bytes) {
+            std::uint32_t texel[4];
+            for (int k = 0; k < 4; ++k) texel[k] = texture.bytes[place[k]];
+            for (int k = 0; k < 4; ++k) add(expand_texel(texel[k]), weight[k] * (1.0f / 255.0f));
+        } else {
+            Vec4 texel[4];
+            for (int k = 0; k < 4; ++k) texel[k] = texture.floats[place[k]];
+            for (int k = 0; k < 4; ++k) add(texel[k], weight[k]);
         }
     }
-    if (texture.associated_alpha && sum.w > 0.0f) {
-        const float scale = fast_reciprocal(sum.w);
-        sum = {sum.x * scale, sum.y * scale, sum.z * scale, sum.w};
+    return sum;
+}
+
+// One channel of the same, and alpha. One texel after the other: rays read it on their way, and have few registers
+// left.
+SVGF_HD inline Vec2 filter_channel(const TextureView& texture, Vec2 uv, std::int32_t channel) {
+    const TexelPoint point(texture, uv);
+    const bool is_cubic = texture.interpolation == Interpolation::cubic;
+    Vec2 sum;
+    const auto add = [&](int column, int row, float weight) {
+        if (column < 0 || row < 0) return;
+        const int place = row * texture.width + column;
+        if (texture.bytes) {
+            const std::uint32_t texel = texture.bytes[place];
+            sum = sum + Vec2{float((texel >> (8 * channel)) & 0xffu), float(texel >> 24)} * (weight * (1.0f / 255.0f));
+        } else {
+            const float* const texel = &texture.floats[place].x;
+            sum = sum + Vec2{texel[channel], texel[3]} * weight;
+        }
+    };
+    SVGF_NO_UNROLL
+    for (int quad = 0; quad < (is_cubic ? 4 : 1); ++quad) {
+        const int i = is_cubic ? 2 * (quad & 1) - 1 : 0, j = is_cubic ? 2 * (quad >> 1) - 1 : 0;
+        const float west = texel_weight(texture.interpolation, point.x_share, i);
+        const float east = texel_weight(texture.interpolation, point.x_share, i + 1);
+        const int west_column = wrap_texel(point.left + i, texture.width, texture.extension);
+        const int east_column = wrap_texel(point.left + i + 1, texture.width, texture.extension);
+        for (int k = 0; k < 2; ++k) {
+            const int row = wrap_texel(point.below + j + k, texture.height, texture.extension);
+            const float along = texel_weight(texture.interpolation, point.y_share, j + k);
+            add(west_column, row, west * along);
+            add(east_column, row, east * along);
+        }
     }
     return sum;
 }
 
 // RGBA, linear.
 SVGF_HD inline Vec4 sample_texture(const TextureView& texture, Vec2 uv) {
-    const Vec4 stored = filter_texture(texture, uv);
+    Vec4 stored = filter_texture(texture, uv);
+    if (texture.associated_alpha && stored.w > 0.0f) {
+        const float scale = fast_reciprocal(stored.w);
+        stored = {stored.x * scale, stored.y * scale, stored.z * scale, stored.w};
+    }
     if (!texture.srgb) return stored;
     return {srgb_to_linear(stored.x), srgb_to_linear(stored.y), srgb_to_linear(stored.z), stored.w};
 }
@@ -99,8 +167,12 @@ SVGF_HD inline float channel_of(Vec4 texel, std::int32_t channel) {
 
 // One channel of it.
 SVGF_HD inline float sample_channel(const TextureView& texture, Vec2 uv, std::int32_t channel) {
-    const float stored = channel_of(filter_texture(texture, uv), channel);
-    return texture.srgb && channel < 3 ? srgb_to_linear(stored) : stored;
+    channel = clamp(channel, 0, 3);
+    const Vec2 stored = filter_channel(texture, uv, channel);
+    if (channel == 3) return stored.y;
+    const float value =
+        texture.associated_alpha && stored.y > 0.0f ? stored.x * fast_reciprocal(stored.y) : stored.x;
+    return texture.srgb ? srgb_to_linear(value) : value;
 }
 
 // Sends for the texels at uv. It pays to do so for all maps of a surface before the first one is read: in Sponza, whose

@@ -115,14 +115,45 @@ struct alignas(16) GatheredRecord {
     SVGF_HD Gathered gathered() const { return {emission, first, second, alpha, hit_distance}; }
 };
 
+// A pixel's light where it lies: read and written as it is found, which of most vertices none is, and in between no
+// registers are held for it.
+struct GatheredInMemory {
+    GatheredRecord* record;
+
+    SVGF_HD void add_emission(Vec3 value) const { add(0, value); }
+    SVGF_HD void add_first(Vec3 value) const { add(1, value); }
+    SVGF_HD void add_second(Vec3 value) const { add(2, value); }
+    SVGF_HD void take_alpha(float value) const { record->alpha -= value; }
+    SVGF_HD void set_hit_distance(float value) const { record->hit_distance = value; }
+
+private:
+    SVGF_HD void add(int row, Vec3 value) const {
+        Vec4* const sum = reinterpret_cast<Vec4*>(record) + row;
+        *sum = Vec4{sum->x + value.x, sum->y + value.y, sum->z + value.z, sum->w};
+    }
+};
+
+// The same of rays to lights.
+struct RaysInMemory {
+    ShadowRecord *shadow, *last;
+    bool has_shadow = false, has_last = false;
+
+    SVGF_HD void put_shadow(const ShadowRay& ray) { has_shadow = put(ray, shadow); }
+    SVGF_HD void put_last(const ShadowRay& ray) { has_last = put(ray, last); }
+
+private:
+    SVGF_HD static bool put(const ShadowRay& ray, ShadowRecord* record) {
+        if (ray.exists()) store(record, ShadowRecord(ray));
+        return ray.exists();
+    }
+};
+
 // Pixels that a launch works on, in any order.
 struct PixelQueue {
     std::int32_t* pixels;
     std::int32_t* count;
 
-    SVGF_HD void push_if(bool wanted, int pixel) const {
-        if (wanted) pixels[append(count)] = pixel;
-    }
+    SVGF_HD void put(const Reservation& reserved, int pixel) const { pixels[reserved.place()] = pixel; }
 };
 
 struct PathMemory {
@@ -160,22 +191,21 @@ struct VertexQueues {
 // Shades a vertex and puts its path and its shadow rays into the queues.
 template <Effects kernel, class Seen = Unseen>
 SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memory, const Sampler& sampler, int vertex,
-                   int pixel, const Hit& hit, Path& path, Gathered& light, const VertexQueues& out,
-                   const Seen& seen = {}) {
-    ShadowRay shadow, last;
-    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, shadow, last, seen);
-    store(memory.gathered + pixel, GatheredRecord(light));
+                   int pixel, const Hit& hit, Path& path, const VertexQueues& out, const Seen& seen = {}) {
+    const GatheredInMemory light{memory.gathered + pixel};
+    RaysInMemory rays{memory.shadows + pixel, memory.lasts + pixel};
+    const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, rays, seen);
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
-    if (shadow.exists()) store(memory.shadows + pixel, ShadowRecord(shadow));
-    if (last.exists()) store(memory.lasts + pixel, ShadowRecord(last));
-    out.paths.push_if(goes_on, pixel);
-    out.shadows.push_if(shadow.exists(), pixel);
-    out.lasts.push_if(last.exists(), pixel);
+    const Reservation path_place(out.paths.count, goes_on), shadow_place(out.shadows.count, rays.has_shadow),
+        last_place(out.lasts.count, rays.has_last);
+    if (goes_on) out.paths.put(path_place, pixel);
+    if (rays.has_shadow) out.shadows.put(shadow_place, pixel);
+    if (rays.has_last) out.lasts.put(last_place, pixel);
 }
 
 template <Effects kernel>
 struct ShadeStage {
-    static constexpr LaunchShape launch_shape{32, 4, shade_blocks<kernel>};
+    static constexpr LaunchShape launch_shape{32, shade_warps<kernel>, shade_warp_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -188,8 +218,7 @@ struct ShadeStage {
         const int pixel = in_pixels[i];
         const Sampler sampler(pixel, seed, sample);
         Path path = load(memory.paths + pixel).path();
-        Gathered light = load(memory.gathered + pixel).gathered();
-        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, light, out);
+        shade(vertices, memory, sampler, vertex, pixel, load(memory.hits + pixel), path, out);
     }
 };
 
@@ -197,7 +226,7 @@ struct ShadeStage {
 // Sponza's 9.6 (H200).
 template <Effects kernel>
 struct FirstShadeStage {
-    static constexpr LaunchShape launch_shape{8, 16, shade_blocks<kernel>};
+    static constexpr LaunchShape launch_shape{8, 4 * shade_warps<kernel>, shade_warp_blocks<kernel>};
 
     PathVertices<kernel> vertices;
     PathMemory memory;
@@ -216,7 +245,8 @@ struct FirstShadeStage {
         path.ray = primary_ray<kernel>(camera, pixel_point(x, y, sampler, box_filter), sampler);
         Gathered light;
         if (!writes_gbuffer) light = vertices.start(pixel);
-        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, light, out,
+        store(memory.gathered + pixel, GatheredRecord(light));
+        shade(vertices, memory, sampler, 0, pixel, load(in_hit + pixel), path, out,
               SeenByCamera<kernel>{writes_gbuffer ? &gbuffer : nullptr, pixel});
     }
 };
@@ -239,9 +269,8 @@ struct ShadowStage {
         const Vec3 share = vertices.find_arriving(sampler, vertex, record->ray(), record->surfaces);
         if (!(max_component(share) > 0.0f)) return;
         // Read only now, so that tracing has the registers.
-        Gathered light = load(memory.gathered + pixel).gathered();
+        const GatheredInMemory light{memory.gathered + pixel};
         vertices.add_share(load(record).shadow(), share, light);
-        store(memory.gathered + pixel, GatheredRecord(light));
     }
 };
 
