@@ -126,6 +126,23 @@ def test_without_denoising_the_picture_is_the_noisy_one(device):
     np.testing.assert_allclose(frame.color, frame.noisy, rtol=1e-5, atol=1e-7)
 
 
+def test_variants_are_what_renderers_of_their_own_give(device):
+    """To the bit, through three frames and a change of size: none reads another's history, nor changes its input."""
+    variants = [
+        dataclasses.replace(SMALL, pixel_filter="box", method=method, denoise=denoise)
+        for method, denoise in (("svgf+", DenoiseSettings()), ("none", DenoiseSettings()), ("svgf", PLAIN_MEAN))
+    ]
+    together, apart = Renderer(variants[0], device), [Renderer(variant, device) for variant in variants]
+    for number, width in ((1, 32), (2, 32), (3, 24)):
+        scene = numbered(scenes.moving_scene(), number)
+        for renderer in (together, *apart):
+            renderer.settings = dataclasses.replace(renderer.settings, width=width)
+        frames = together.render_variants(scene, variants)
+        for frame, renderer in zip(frames, apart, strict=True):
+            np.testing.assert_array_equal(frame.color, renderer.render(scene).color)
+    assert "path" in frames[0].timings and "path" not in frames[1].timings
+
+
 def test_both_splits_hold_the_same_light(device):
     images = [
         Renderer(dataclasses.replace(SMALL, signals=signals), device).render(scenes.box_scene()).noisy

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple
 from typing import Any
 
@@ -182,7 +182,7 @@ class Renderer:
         self._tracer = self.device.tracer()
         self._uploader = SceneUploader(self.device, self._tracer)
         self._validator = SceneValidator()
-        self._denoiser: Any = None
+        self._denoisers: list[Any] = []
         self._denoiser_size = (0, 0)
         self._last_frame: int | None = None
         self._last_scene: Scene | None = None
@@ -207,6 +207,16 @@ class Renderer:
         Raises InputError (naming the field that is wrong), DeviceError, OutOfMemory, Interrupted; after any of them
         the next frame starts afresh, unless it was interrupted before the denoiser had begun.
         """
+        return self.render_variants(scene, [self.settings], progress)[0]
+
+    def render_variants(
+        self, scene: Scene, variants: Sequence[Settings], progress: Callable[[float], None] | None = None
+    ) -> list[Frame]:
+        """As ``render``, but what was traced once is denoised in several ways, each with a history of its own.
+
+        variants: the renderer's settings but for method and denoise, the same in each call; what they say about
+        tracing is not read. Timings of tracing are in the first frame alone.
+        """
         self._validator.check(scene)
         settings = self.settings
         width = settings.width or scene.defaults.width
@@ -228,15 +238,19 @@ class Renderer:
             update_ms = (time.perf_counter() - start) * 1e3
             images = self._trace(flat, width, height, scene.frame + self._repeats, bounces, progress)
             tracing = False
-            denoised = self._denoise(flat, images, width, height, reset)
-            timings = {"update": update_ms, **self.device.take_timings()}
+            frames, timings = [], {"update": update_ms}
+            for denoiser in self._sized_denoisers(variants, width, height):
+                denoised = self._denoise(denoiser, flat, images, reset)
+                timings.update(self.device.take_timings())
+                frames.append(self._finish(scene, images, denoised, exposure, timings, reset))
+                timings = {}
         except BaseException as error:
             if not (isinstance(error, Interrupted) and tracing):
                 self.reset("the last frame was not finished")
             self._last_scene = None
             raise
         self._last_scene, self._last_frame, self._reset_reason = scene, scene.frame, ""
-        return self._finish(scene, images, denoised, exposure, timings, reset)
+        return frames
 
     def _find_reset(self, scene: Scene) -> str:
         """Why history cannot go on, or an empty string. Counts how often the same scene came in a row."""
@@ -297,15 +311,19 @@ class Renderer:
             images.update({name: total.astype(np.float32) for name, total in sums.items()})
         return images
 
-    def _denoise(self, flat: FlatScene, images: dict[str, Any], width: int, height: int, reset: str) -> dict[str, Any]:
-        if self._denoiser is None:
-            self._denoiser = self.device.denoiser(
-                width, height, self.settings.method, self.settings.denoise.as_dict()
-            )
+    def _sized_denoisers(self, variants: Sequence[Settings], width: int, height: int) -> list[Any]:
+        if not self._denoisers:
+            self._denoisers = [
+                self.device.denoiser(width, height, variant.method, variant.denoise.as_dict()) for variant in variants
+            ]
         elif self._denoiser_size != (width, height):
-            self._denoiser.resize(width, height)
+            for denoiser in self._denoisers:
+                denoiser.resize(width, height)
         self._denoiser_size = (width, height)
-        return self._denoiser.denoise(
+        return self._denoisers
+
+    def _denoise(self, denoiser: Any, flat: FlatScene, images: dict[str, Any], reset: str) -> dict[str, Any]:
+        return denoiser.denoise(
             {**images, "window": flat.window},
             reset=bool(reset),
             diagnostics=self.settings.diagnostics,
