@@ -77,6 +77,19 @@ def test_bench_ablation(scene_file: Path, tmp_path: Path) -> None:
     assert_refused(run("bench", "ablation", scene_file, *options, "--method", "best"), "Choose one of none, eaw, svgf")
 
 
+def test_bench_ablation_shows_each_scene_when_it_is_measured(scene_file: Path, tmp_path: Path) -> None:
+    """A run that ends early has shown what it has: here the second scene is none."""
+    broken = tmp_path / "broken.svgf"
+    broken.write_text("no scene")
+    options = ("--size", "16x9", "--device", "cpu", "--frames", "1-3", "--first", 2, "--reference-spp", 1)
+    files = (scene_file, broken, "--csv", tmp_path / "a.csv")
+    result = run("bench", "ablation", *files, *options, "--method", "none")
+    assert result.exit_code == 2 and "broken.svgf" in result.stderr
+    title, *table = result.stdout.splitlines()
+    assert "(cpu), 16x9" in title and "shard" in table[1] and "none" in table[3]
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
+
+
 def test_every_step_of_the_ablation_is_a_setting() -> None:
     from svgf.bench.ablation import STEPS, STILL_STEPS, changed
     from svgf.settings import METHODS, DenoiseSettings, PlusStep, Settings

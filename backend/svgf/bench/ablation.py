@@ -2,10 +2,11 @@
 """What each step of a denoiser gives and costs: error and milliseconds with the step switched off, beside the whole
 method.
 
-All rows of a scene denoise the same noisy frames and are compared with the same converged images, which are traced
-once, with another seed. Errors are means over the measured frames. What is done where nothing moves is measured on the
-last of them alone, standing still. Times are medians of the denoiser alone, on made-up inputs with two signals
-(bench.denoise): they do not depend on the scene, and at the size that scenes are compared at, a GPU would mostly wait.
+All rows of a scene denoise the same noisy frames, traced once for several rows, and are compared with the same
+converged images, traced with another seed. Errors are means over the measured frames. What is done where nothing moves
+is measured on the last of them alone, standing still. Times are medians of the denoiser alone, on made-up inputs with
+two signals (bench.denoise): they do not depend on the scene, and at the size that scenes are compared at, a GPU would
+mostly wait.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import dataclasses
 import multiprocessing
 import os
 import statistics
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -93,6 +94,8 @@ STILL_STEPS: dict[str, Changes] = {
     "all history": _without(PlusStep.HISTORY, antialias_frames=1.0),
 }
 STILL_FRAMES = 64
+# Rows for which a frame is traced once: so many histories are in memory at a time.
+BATCH = 8
 NOTES = (
     "Without a row: variance that never cancels (a sum of squares about a mean: there is no other to switch to);"
     " virtual hits (measured and refused, backend/native/denoise/temporal_plus.h); sky, emission, transmission, alpha"
@@ -148,8 +151,10 @@ def measure_times(
         signals: upload_inputs(device, size, 2, signals.split("_"))
         for signals in ("diffuse_specular", "direct_indirect")
     }
+    # Some are among both.
+    rows = {(method, off): changes for method, off, changes in (*rows_of(methods), *still_rows_of(methods))}
     result = {}
-    for method, off, changes in (*rows_of(methods), *still_rows_of(methods)):
+    for (method, off), changes in rows.items():
         settings = changed(Settings(*size), method, changes)
         denoiser = device.denoiser(*size, method, settings.denoise.as_dict())
         times = time_stages(device, denoiser, inputs[settings.signals], frames, warm_up)
@@ -165,42 +170,61 @@ def measure(
     references: Sequence[np.ndarray],
     milliseconds: dict[tuple[str, str], float],
     methods: Sequence[str] = tuple(STEPS),
-    render: Callable[[Renderer, Scene], Frame] = Renderer.render,
+    render: Callable[[Renderer, Scene, Sequence[Settings]], list[Frame]] = Renderer.render_variants,
     step: Callable[[], None] | None = None,
 ) -> list[Ablation]:
     """scenes: consecutive frames; the last len(references) of them are measured, against one reference each. name: what
     the rows call the scene. milliseconds: of ``measure_times``. step: called after each frame. Raises InputError with
     fewer than two references."""
-    unmeasured = count_unmeasured(name, scenes, references)
+    count_unmeasured(name, scenes, references)
     still = [scenes[-1].at_rest()] * STILL_FRAMES
+    sequences = {name: (scenes, references), f"{name}, still": (still, [references[-1]] * 2)}
     cases = [
-        *((name, *row, scenes, references) for row in rows_of(methods)),
-        *((f"{name}, still", *row, still, [references[-1]] * 2) for row in still_rows_of(methods)),
+        (sequence, method, off, changed(settings, method, changes))
+        for sequence, rows in zip(sequences, (rows_of(methods), still_rows_of(methods)), strict=True)
+        for method, off, changes in rows
     ]
 
-    def denoise(frames: Sequence[Scene], row_settings: Settings, measured: int) -> list[np.ndarray]:
-        renderer, images = Renderer(row_settings, device), []
+    def denoise(frames: Sequence[Scene], batch: Sequence[Settings], measured: int) -> list[list[np.ndarray]]:
+        """The last images of each of the batch."""
+        renderer = Renderer(batch[0], device)
+        images: list[list[np.ndarray]] = [[] for _ in batch]
         for index, scene in enumerate(frames):
-            frame = render(renderer, scene)
-            if index >= len(frames) - measured:
-                images.append(frame.color)
-            if step:
-                step()
+            for of_row, frame in zip(images, render(renderer, scene, batch), strict=True):
+                if index >= len(frames) - measured:
+                    of_row.append(frame.color)
+                if step:
+                    step()
         return images
 
     # FLIP takes longer than rendering does, on one processor: other processes compare while frames are rendered.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(1, (os.cpu_count() or 1) - 1), context) as pool:
-        errors = [
-            pool.submit(
-                _errors, denoise(frames, changed(settings, method, changes), len(truths)), list(truths)
-            )
-            for _, method, _, changes, frames, truths in cases
-        ]
+    with ProcessPoolExecutor(max(1, (os.cpu_count() or 1) - 1), context, _use_one_thread) as pool:
+        errors: dict[tuple[str, Settings], Future] = {}
+        for sequence, (frames, truths) in sequences.items():
+            for batch in _batches(row for of, _, _, row in cases if of == sequence):
+                for row, images in zip(batch, denoise(frames, batch, len(truths)), strict=True):
+                    errors[sequence, row] = pool.submit(_errors, images, list(truths))
         return [
-            Ablation(scene, method, off, *error.result(), milliseconds[method, off])
-            for (scene, method, off, *_), error in zip(cases, errors, strict=True)
+            Ablation(sequence, method, off, *errors[sequence, row].result(), milliseconds[method, off])
+            for sequence, method, off, row in cases
         ]
+
+
+def _batches(rows: Iterable[Settings]) -> Iterator[list[Settings]]:
+    """Those that trace the same frames, at most BATCH at once."""
+    alike: dict[tuple[str, str], list[Settings]] = {}
+    for settings in rows:
+        alike.setdefault((settings.signals, settings.resolved_pixel_filter), []).append(settings)
+    for group in alike.values():
+        for start in range(0, len(group), BATCH):
+            yield group[start : start + BATCH]
+
+
+def _use_one_thread() -> None:
+    """In each process that compares, before it loads flip_evaluator: there is a process for every processor, and with
+    as many threads in each they would mostly wait for one another."""
+    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def _errors(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> tuple[float, float, float]:

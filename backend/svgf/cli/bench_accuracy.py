@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.table import Table
 
 from .bench_scenes import (
     FilesArgument,
@@ -20,7 +21,11 @@ from .bench_scenes import (
     scene_paths,
 )
 from .options import DeviceOption, JsonOption, parse_size
-from .report import CsvOption, PlotOption, publish, table
+from .report import CsvOption, PlotOption, print_json, publish, show, table, write_files
+
+if TYPE_CHECKING:
+    from ..bench.ablation import Ablation
+    from ..devices import Device
 
 
 def accuracy(
@@ -37,12 +42,17 @@ def accuracy(
 ) -> None:
     """What accuracy costs in time: relMSE, FLIP and flicker against milliseconds, for each method and sample count."""
     from ..bench.accuracy import VARIANTS, measure, plot
+    from ..devices import open_device
+    from .progress import render_frame
 
     variants = [variant for variant in VARIANTS if not quick or variant[1] == 1]
-    title, rows = _measure_scenes(
-        files, size, device, frames, first, reference_spp, lambda count: count * len(variants),
-        lambda opened, *scene, **progress: measure(opened, *scene, variants, **progress),
+    opened = open_device(device)
+    title = _title(opened, size, frames, first, reference_spp)
+    scenes = _measure_scenes(
+        opened, files, size, frames, first, reference_spp, lambda count: count * len(variants),
+        lambda *scene, step: measure(opened, *scene, variants, render_frame, step),
     )  # fmt: skip
+    rows = [row for of_scene in scenes for row in of_scene]
     lines = [
         (
             row.scene, row.method, str(row.samples), f"{row.milliseconds:.3f}",
@@ -75,21 +85,39 @@ def ablation(
     as_json: JsonOption = False,
 ) -> None:
     """What each step of the denoiser gives and costs: relMSE, FLIP, flicker and milliseconds without it."""
-    from ..bench.ablation import NOTES, STEPS, WHOLE, frames_of, gains, measure, measure_times, plot
+    from ..bench.ablation import NOTES, STEPS, frames_of, measure, measure_times, plot
     from ..devices import open_device
     from ..settings import check_name
+    from .progress import render_variants
 
     chosen = methods or list(STEPS)
     for method in chosen:
         check_name("The method", method, tuple(STEPS))
     opened = open_device(device)
     timed = timed_size or ("1920x1080" if opened.name == "cuda" else size)
-    times = measure_times(opened, parse_size(timed), chosen)
-    title, rows = _measure_scenes(
-        files, size, device, frames, first, reference_spp, lambda count: frames_of(chosen, count),
-        lambda opened, *scene, **progress: measure(opened, *scene, times, chosen, **progress),
-    )  # fmt: skip
+    title = _title(opened, size, frames, first, reference_spp)
     title += f"; ms: two signals at {timed}; x: times what is left with every step, ms of a step: what it takes"
+    times = measure_times(opened, parse_size(timed), chosen)
+    scenes = _measure_scenes(
+        opened, files, size, frames, first, reference_spp, lambda count: frames_of(chosen, count),
+        lambda *scene, step: measure(opened, *scene, times, chosen, render_variants, step),
+    )  # fmt: skip
+    rows: list[Ablation] = []
+    # Each scene's rows when they are there: all of them take minutes.
+    for of_scene in scenes:
+        if not as_json:
+            show(*([] if rows else [title]), *_ablation_tables(of_scene))
+        rows += of_scene
+        write_files(title, rows, csv_file, plot_file, plot)
+    if as_json:
+        print_json(title, rows, notes=NOTES)
+    else:
+        show(*NOTES)
+
+
+def _ablation_tables(rows: Sequence[Ablation]) -> list[Table]:
+    from ..bench.ablation import WHOLE, gains
+
     lines: dict[str, list[tuple[str, ...]]] = {}
     for row, (*ratios, cost) in zip(rows, gains(rows), strict=True):
         whole = row.off == WHOLE
@@ -98,44 +126,40 @@ def ablation(
         milliseconds = f"{row.milliseconds:.3f}" if whole else f"{cost:+.3f}"
         lines.setdefault(row.scene, []).append((row.method, "-" if whole else row.off, *figures, milliseconds))
     headings = ("without", "relMSE", "x", "FLIP", "x", "flicker", "x", "ms")
-    tables = [
+    return [
         table((scene, *headings), of_scene, names=2, section=lambda line: line[0]) for scene, of_scene in lines.items()
     ]
-    publish(
-        title, rows, *tables, *NOTES,
-        csv_file=csv_file, plot_file=plot_file, plot=plot, as_json=as_json, notes=NOTES,
-    )  # fmt: skip
+
+
+def _title(device: Device, size: str, frames: str, first: int, reference_spp: int) -> str:
+    return f"{device.description} ({device.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
 
 
 def _measure_scenes(
+    device: Device,
     files: list[Path] | None,
     size: str,
-    device_name: str,
     frames: str,
     first: int,
     reference_spp: int,
     frames_of: Callable[[int], int],
     measure: Callable[..., Sequence[Any]],
-) -> tuple[str, list[Any]]:
-    """A title, and the rows of all scenes, of which measure(device, settings, name, scenes, references, render=, step=)
-    renders frames_of(its frames) frames."""
+) -> Iterator[Sequence[Any]]:
+    """The rows of each scene, of which measure(settings, name, scenes, references, step=) renders frames_of(its frames)
+    frames."""
     from ..bench.accuracy import converge
-    from ..devices import open_device
     from ..settings import Settings
     from .progress import progress_bar, render_frame
 
     paths, image_size = scene_paths(files), parse_size(size)
     settings = Settings(*image_size)
-    device = open_device(device_name)
-    rows: list[Any] = []
     for path in paths:
         scenes, measured = read_animation(path, frames, first, image_size)
         with progress_bar(f"{path.stem}: truth", len(measured)) as bar:
             references = converge(device, settings, measured, reference_spp, render_frame, bar.step)
         with progress_bar(f"{path.stem}: denoised", frames_of(len(scenes))) as bar:
-            rows += measure(device, settings, path.stem, scenes, references, render=render_frame, step=bar.step)
-    title = f"{device.description} ({device.name}), {size}, frames {first} on of {frames}, truth {reference_spp} spp"
-    return title, rows
+            rows = measure(settings, path.stem, scenes, references, step=bar.step)
+        yield rows
 
 
 def _four_digits(*values: float) -> list[str]:

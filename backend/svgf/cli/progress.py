@@ -6,7 +6,7 @@ from __future__ import annotations
 import io
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, TypeVar
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..frame import Frame
     from ..renderer import Renderer
     from ..scene import Scene
+    from ..settings import Settings
 
 _Result = TypeVar("_Result")
 
@@ -65,6 +66,11 @@ def progress_bar(title: str, total: int | None) -> Iterator[Bar]:
 def render_frame(renderer: Renderer, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
     """``Renderer.render``, stopped by Ctrl-C."""
     return run_interruptibly(lambda: renderer.render(scene, progress=progress), renderer.interrupt)
+
+
+def render_variants(renderer: Renderer, scene: Scene, variants: Sequence[Settings]) -> list[Frame]:
+    """``Renderer.render_variants``, stopped by Ctrl-C."""
+    return run_interruptibly(lambda: renderer.render_variants(scene, variants), renderer.interrupt)
 
 
 def run_interruptibly(work: Callable[[], _Result], interrupt: Callable[[], None]) -> _Result:

@@ -33,25 +33,44 @@ def publish(
     plot: Callable[[Sequence[Any], str], bytes] | None = None,
     **more: Any,
 ) -> None:
-    """Writes the files that were asked for, then prints the tables and sentences, or as JSON the title, the rows and
-    ``more``.
+    """Writes the files that were asked for, then prints the title, the tables and sentences, or as JSON the title, the
+    rows and ``more``.
 
     rows: instances of one dataclass. plot: makes a PNG of rows and title. Raises InputError where a file cannot be
     written.
     """
+    write_files(title, rows, csv_file, plot_file, plot)
+    if as_json:
+        print_json(title, rows, **more)
+    else:
+        show(title, *tables)
+
+
+def write_files(
+    title: str,
+    rows: Sequence[Any],
+    csv_file: Path | None,
+    plot_file: Path | None,
+    plot: Callable[[Sequence[Any], str], bytes] | None,
+) -> None:
+    """As ``publish`` says."""
     if csv_file is not None:
         with replacing(csv_file) as file:
             file.write(_csv(rows).encode())
     if plot_file is not None and plot is not None:
         with replacing(plot_file) as file:
             file.write(plot(rows, title))
-    if as_json:
-        typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows], **more}, indent=1))
-        return
+
+
+def print_json(title: str, rows: Sequence[Any], **more: Any) -> None:
+    typer.echo(json.dumps({"title": title, "rows": [asdict(row) for row in rows], **more}, indent=1))
+
+
+def show(*parts: Table | str) -> None:
+    """Prints tables and sentences, at once."""
     console = Console(highlight=False, width=_WIDTH)
-    console.print(title, markup=False, soft_wrap=True)
-    for table in tables:
-        console.print(table)
+    for part in parts:
+        console.print(part, markup=False, soft_wrap=isinstance(part, str))
 
 
 def table(
