@@ -400,6 +400,28 @@ def test_a_still_view_agrees_with_the_reference(device, interactive):
     assert np.quantile(error, 0.95) < 0.02 and error.mean() < 0.01
 
 
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_what_was_filtered_is_forgotten_faster_than_by_the_number_of_frames(device, at_rest):
+    """Light that doubles after 256 still frames, and is no change: of what was there, frame n leaves 1 - 1.25 / n in a
+    view at rest, for as long as it rests, and 1 - 1 / n after a frame of an animation that has 256 behind it."""
+    nothing_is_a_change = {"change_threshold": 1e6, "history_clamp": 1e6}
+    denoiser = device.denoiser(8, 6, "svgf+", DenoiseSettings(**nothing_is_a_change).as_dict())
+    frame = make_frame(6, 8)
+    # So different are the pixels around each that the doubled light is within them.
+    tiles = np.where(np.indices((6, 8)).sum(axis=0) % 2, 0.2, 0.8)[..., None].astype(np.float32)
+    frame["diffuse_albedo"] = np.repeat(tiles, 3, axis=2)
+    left = 1.0
+    for count in range(1, 301):
+        light = 1.0 if count <= 256 else 2.0
+        inputs = {**frame, "diffuse": light * frame["diffuse_albedo"]}
+        result = denoiser.denoise(inputs, reset=False, unchanged=at_rest and count > 16)
+        if count > 256:
+            left *= 1.0 - (1.25 if at_rest else 1.0) / count
+        # 44 times rounded to 14 bits, 0.0032 at most. At the other rate the last frame would be 0.033 off.
+        color = device.to_numpy(result["color"]) / frame["diffuse_albedo"]
+        np.testing.assert_allclose(color, 2.0 - left, atol=44 * 1.2 * 2.0**-14)
+
+
 @pytest.mark.parametrize(("rate", "frames"), [(10.0, 5.0), (24.0, 12.0)])
 def test_history_is_as_long_as_its_seconds(device, rate, frames):
     denoiser = Denoiser(40, 24, device, "svgf+", DenoiseSettings(history_seconds=0.5, frame_rate=rate))
