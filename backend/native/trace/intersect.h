@@ -445,7 +445,7 @@ SVGF_HD inline bool traverse(const SceneView& scene, const Ray& ray, Hit& hit, P
                 if (!group.has_nodes()) stack.push(group);
                 break;
             }
-            if (is_scattered ? 4 * count_threads() < busy_threads : group.has_nodes() && count_threads() < 8) {
+            if (is_scattered ? 4 * count_threads() < busy_threads : group.has_nodes() && count_threads() < 5) {
                 primitives.bits |= 1u << (i - primitives.first);
                 if (group.has_nodes()) {
                     stack.push(primitives);

@@ -275,6 +275,7 @@ private:
     // What Cycles leaves out or blurs of a surface that is seen by a diffuse ray, or by one that few samples follow.
     SVGF_HD void simplify(const Path& path, Material& material) const {
         if (path.ray.kind == ray_kind::diffuse && !limits.reflective_caustics) material.specular_ior_level = 0.0f;
+        if (!(limits.filter_glossy > 0.0f)) return;
         const float density = path.smallest_pdf / limits.filter_glossy;
         // GGX alpha is the square of roughness.
         if (density < 1.0f) material.roughness = max(material.roughness, std::sqrt(0.5f * std::sqrt(1.0f - density)));

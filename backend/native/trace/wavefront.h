@@ -152,8 +152,6 @@ private:
 struct PixelQueue {
     std::int32_t* pixels;
     std::int32_t* count;
-
-    SVGF_HD void put(const Reservation& reserved, int pixel) const { pixels[reserved.place()] = pixel; }
 };
 
 struct PathMemory {
@@ -196,11 +194,13 @@ SVGF_HD void shade(const PathVertices<kernel>& vertices, const PathMemory& memor
     RaysInMemory rays{memory.shadows + pixel, memory.lasts + pixel};
     const bool goes_on = vertices.shade(sampler, vertex, hit, path, light, rays, seen);
     if (goes_on) store(memory.paths + pixel, PathRecord(path));
-    const Reservation path_place(out.paths.count, goes_on), shadow_place(out.shadows.count, rays.has_shadow),
-        last_place(out.lasts.count, rays.has_last);
-    if (goes_on) out.paths.put(path_place, pixel);
-    if (rays.has_shadow) out.shadows.put(shadow_place, pixel);
-    if (rays.has_last) out.lasts.put(last_place, pixel);
+    const bool wanted[3] = {goes_on, rays.has_shadow, rays.has_last};
+    std::int32_t* const counts[3] = {out.paths.count, out.shadows.count, out.lasts.count};
+    std::int32_t place[3];
+    append_together<32 * shade_warps<kernel>>(counts, wanted, place);
+    if (wanted[0]) out.paths.pixels[place[0]] = pixel;
+    if (wanted[1]) out.shadows.pixels[place[1]] = pixel;
+    if (wanted[2]) out.lasts.pixels[place[2]] = pixel;
 }
 
 template <Effects kernel>
