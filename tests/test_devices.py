@@ -161,6 +161,21 @@ def test_frame_after_one_that_was_interrupted_while_it_was_traced_goes_on(device
 
 
 @pytest.mark.gpu
+def test_more_than_the_gpu_has():
+    """One piece of memory that is larger than any GPU's."""
+    if not available_devices()[0].available:
+        pytest.skip(available_devices()[0].reason)
+    device = open_device("cuda")
+    with pytest.raises(OutOfMemory, match="The GPU has no room for copy source .* MiB free"):
+        device.copy_bandwidth(2**44)
+    assert Renderer(SMALL, device).render(scenes.box_scene()).color.any()
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(
+    int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1,
+    reason="takes all of the GPU's memory, and from the tests beside it: run it with -n 0",
+)
 def test_gpu_without_room():
     """Says what there was no room for, and goes on with what fits."""
     if not available_devices()[0].available:
