@@ -52,7 +52,6 @@ SVGF_HD inline Vec3 operator-(float s, Vec3 a) { return {s - a.x, s - a.y, s - a
 
 SVGF_HD inline Vec4 operator+(Vec4 a, Vec4 b) { return {a.x + b.x, a.y + b.y, a.z + b.z, a.w + b.w}; }
 SVGF_HD inline Vec4 operator*(Vec4 a, float s) { return {a.x * s, a.y * s, a.z * s, a.w * s}; }
-SVGF_HD inline Vec4& operator+=(Vec4& a, Vec4 b) { return a = a + b; }
 
 // Where a is NaN these return b, so a NaN on the left never spreads.
 SVGF_HD inline float min(float a, float b) { return a < b ? a : b; }
