@@ -149,7 +149,7 @@ def _assert_atrous_is_its_formula(images, actual, signal, level):
                 explained = abs(float(images["depth_gradient"][y, x] @ np.float32([u - x, v - y])))
                 cosine = float(images["normal"][y, x].astype(float) @ images["normal"][v, u].astype(float))
                 difference = abs(light(color[y, x]) - light(color[v, u]))
-                exponent = -abs(z_p - z_q) / (settings.sigma_depth * explained + 1e-3 * z_p)
+                exponent = -abs(z_p - z_q) / (settings.plus_sigma_depth * explained + 1e-3 * z_p)
                 exponent += settings.plus_sigma_normal * (cosine - 1.0) if (i, j) != (0, 0) else 0.0
                 own = blurred / norm if level == 0 else variance[y, x]
                 larger = max(own, matte[v, u] * variance[v, u])

@@ -28,7 +28,7 @@ _BORROWED = {
 # Settings of denoisers that are for artists; the others are the papers' own.
 _EVERYDAY = {"levels", "history_frames", "history_seconds", "firefly_limit"}
 # Settings of svgf that svgf+ reads too.
-_SHARED = {"sigma_depth", "depth_tolerance", "normal_tolerance"}
+_SHARED = {"depth_tolerance", "normal_tolerance"}
 _OWN_LIGHT_PATHS = ("bounces", None, *(item.name for item in fields(LightPaths)))
 _CYCLES_LIGHT_PATHS = (
     *("max_bounces", None, "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces"),

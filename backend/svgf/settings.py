@@ -105,7 +105,7 @@ class DenoiseSettings:
         unit="standard deviations",
     )  # fmt: skip
     specular_history_clamp: float = _setting(
-        0.35, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
+        0.4, 0.0, 1e6, "svgf+: the same of the specular signal, which moves otherwise than its surface.",
         unit="standard deviations",
     )  # fmt: skip
     change_threshold: float = _setting(
@@ -131,15 +131,19 @@ class DenoiseSettings:
         1.4, 1.0, 1e3, "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this."
     )
     plus_sigma_luminance: float = _setting(
-        5.0, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
+        4.5, 0.0, 1e6, "svgf+: luminance differences that count as noise; larger blurs more.",
         unit="standard deviations of the mean", symbol="sigma_l",
     )  # fmt: skip
+    plus_sigma_depth: float = _setting(
+        3.0, 0.0, 1e6, "svgf+: depth differences that the depth gradient does not explain: larger blurs across them.",
+        symbol="sigma_z",
+    )  # fmt: skip
     plus_sigma_normal: float = _setting(
-        32.0, 1e-3, 1e6, "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.",
+        20.0, 1e-3, 1e6, "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.",
         symbol="sigma_n",
     )  # fmt: skip
     antialias_frames: float = _setting(
-        3.5, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
+        4.0, 1.0, 1024.0, "svgf+: frames over which the picture is resolved where something moves. 1: not at all.",
         unit="frames",
     )  # fmt: skip
     steps: int = _setting(

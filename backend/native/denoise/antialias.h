@@ -9,17 +9,24 @@
 // surfaces [Karis14], so that silhouettes move with what stands in front. No object is compared: a pixel may show
 // several, and sky.
 //
-// Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness, times 16
+// Colours are averaged after c / (w + max(c)) [Karis14], w the geometric mean of the 3x3 pixels' brightness, times 12
 // where something moves: fireflies that are left do not flicker, at any exposure, and what is not that bright keeps its
 // light. What stands still is averaged as it is. History of what moves is read by Catmull-Rom, as a mean of four
-// pixels, frame after frame, would blur it. Measured on whole pictures of 480x270 at 1 sample per pixel, from the fifth
-// frame on: our own tracer's arcade, and Cycles' gallery and teapots; relMSE, FLIP and flicker over those of OIDN
-// 2.5.1, and the mean over the truth's:
+// pixels, frame after frame, would blur it; after c / (w + max(c)) again, with a quarter of that w: a third of a pixel
+// of a lamp is thirty times the light of the wall beside it, and such errors stay for frames. Measured on whole
+// pictures of 480x270 at 1 sample per pixel, from the fifth frame on: our own tracer's arcade and Sponza, and Cycles'
+// gallery and teapots; relMSE, FLIP and flicker over those of OIDN 2.5.1:
 //
-//   as it is       0.95 .862 .686 0.977     0.97 .784 .693 0.925     1.67 .810 .416 0.989
-//   w times 1      0.91 .986 .735 0.950     0.89 .810 .697 0.915     1.19 .823 .421 0.973
-//   linear         1.02 .846 .689 0.982     1.00 .783 .694 0.927     2.84 .812 .421 0.995
-//   bilinear       1.01 .872 .686 0.974     1.05 .789 .696 0.925     2.17 .826 .420 0.988
+//                       arcade         gallery        teapots        Sponza
+//   as it is            .83 .82 .662   .83 .81 .690   1.02 .82 .421  1.35 .83 .649
+//   w times 16          .84 .82 .661   .84 .81 .690   1.08 .81 .421  1.37 .83 .649
+//   w times 1           .83 .95 .725   .75 .85 .703   .85 .84 .434   1.21 .93 .686
+//   linear              .94 .80 .666   .87 .81 .691   2.82 .81 .427  1.52 .81 .655
+//   read with all of w  .86 .82 .662   .83 .81 .689   1.27 .81 .421  1.39 .82 .648
+//   over 3.5 frames     .83 .82 .672   .82 .81 .691   1.00 .81 .424  1.34 .82 .665
+//
+// Bright things that move lose light by it, and what flickers: of the truth's mean, 0.910 is left of the gallery, 0.973
+// of the arcade, 0.980 of the teapots (by OIDN 0.952, 0.994, 0.992).
 //
 // The pixel's own sample is never outside of the box: what is thinner than a pixel, a wire, would fade.
 // Outside the frame the 3x3 pixels are those of its border.
@@ -46,6 +53,7 @@
 //   plain mean               .0379 .0366   .0141 .0249   .0073 .0188   .0283 .0442   .0103 .0265   .0052 .0189
 #pragma once
 
+#include "denoise/cubic.h"
 #include "denoise/modulate.h"
 #include "denoise/tiles.h"
 
@@ -56,7 +64,9 @@ namespace svgf {
 // One of nine numbers is at most 2.83 of their deviations from their mean, so what stays the same is never clipped.
 constexpr float moving_box = 1.0f, still_box = 4.0f;
 // Of the geometric mean of brightness, where something moves: where the average begins to compress.
-constexpr float moving_white = 16.0f;
+constexpr float moving_white = 12.0f;
+// Of that, where history is read between pixels.
+constexpr float interpolation_white = 0.25f;
 constexpr float hand_over_frames = 24.0f;
 // Deviation of the mean of noisy frames, over brightness: up to it they are taken as they are, none of them at twice as
 // much. The most that one of them moves that mean, over brightness.
@@ -133,31 +143,25 @@ private:
     SVGF_HD static float brightness(Vec3 c) { return fast_max(c.x, fast_max(c.y, c.z)); }
     SVGF_HD static Vec4 with_brightness(Vec3 c) { return {c.x, c.y, c.z, brightness(c) + 1e-30f}; }
 
+    // A colour with its brightness to [0, 1), and back.
+    SVGF_HD static Vec3 compress(Vec4 c, float white) { return c.xyz() * fast_reciprocal(white + c.w); }
+    SVGF_HD static Vec3 expand(Vec3 c, float white) {
+        return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - brightness(c), 1e-4f)));
+    }
+
     // The 3x3 pixels' mean and deviation, after map.
     struct Box {
         float white = 0.0f;
         Vec3 mean, deviation;
 
-        SVGF_HD Vec3 map(Vec4 c) const { return c.xyz() * fast_reciprocal(white + c.w); }
-        SVGF_HD Vec3 unmap(Vec3 c) const {
-            return max(c, 0.0f) * (white * fast_reciprocal(fast_max(1.0f - brightness(c), 1e-4f)));
-        }
+        SVGF_HD Vec3 map(Vec4 c) const { return compress(c, white); }
+        SVGF_HD Vec3 unmap(Vec3 c) const { return expand(c, white); }
     };
     struct History {
         Vec3 color;   // of the pixel itself, where nothing moves
         Vec3 mapped;
         float frames = 0.0f;
     };
-    // Weights of four pixels in a row for a place between the middle two: Catmull-Rom, and linear ones.
-    struct Cubic {
-        float weight[4], linear[4];
-
-        SVGF_HD explicit Cubic(float t)
-            : weight{0.5f * t * ((2.0f - t) * t - 1.0f), 1.0f + t * t * (1.5f * t - 2.5f),
-                     0.5f * t * ((4.0f - 3.0f * t) * t + 1.0f), 0.5f * t * t * (t - 1.0f)},
-              linear{0.0f, 1.0f - t, t, 0.0f} {}
-    };
-
     SVGF_HD void resolve(const Tile& tile, int place, int x, int y) const {
         const int pixel = guides.pixel(x, y);
         const Vec4 center = tile.color[place];
@@ -294,31 +298,33 @@ private:
                               : read_between<false>(left, top, columns, rows, box);
     }
 
-    // Catmull-Rom without the four corners, which weigh least, and never beyond the inner four.
+    // Never beyond the inner four pixels.
     template <bool IsCatmullRom>
     SVGF_HD History read_between(int left, int top, const Cubic& columns, const Cubic& rows, const Box& box) const {
         History history;
-        Vec3 least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
+        Vec3 sum, least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
         float total = 0.0f;
+        const float white = interpolation_white * box.white;
         // Without a branch the reads of several taps are under way together.
         SVGF_UNROLL
         for (int j = 0; j < 4; ++j)
             SVGF_UNROLL
             for (int i = 0; i < 4; ++i) {
-                const bool is_beside = i == 0 || i == 3, is_above = j == 0 || j == 3;
-                if (IsCatmullRom ? is_beside && is_above : is_beside || is_above) continue;
+                const bool is_inner = !is_cubic_side(i) && !is_cubic_side(j);
+                if (IsCatmullRom ? is_cubic_corner(i, j) : !is_inner) continue;
                 const float linear = columns.linear[i] * rows.linear[j];
                 const float share = IsCatmullRom ? columns.weight[i] * rows.weight[j] : linear;
                 const Vec4 tap = hist_color[guides.nearest_pixel(left + i - 1, top + j - 1)];
-                const Vec3 mapped = box.map(with_brightness(tap.xyz()));
+                const Vec3 compressed = compress(with_brightness(tap.xyz()), white);
                 total += share;
-                history.mapped += share * mapped;
-                if (is_beside || is_above) continue;
-                least = min(least, mapped);
-                most = max(most, mapped);
+                sum += share * compressed;
+                if (!is_inner) continue;
+                least = min(least, compressed);
+                most = max(most, compressed);
                 history.frames += linear * fast_sqrt(tap.w);
             }
-        history.mapped = min(max(history.mapped * fast_reciprocal(total), least), most);
+        const Vec3 between = min(max(sum * fast_reciprocal(total), least), most);
+        history.mapped = box.map(with_brightness(expand(between, white)));
         return history;
     }
 

@@ -231,6 +231,7 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.reprojection.tests_taps = settings_.has(PlusStep::tested_taps);
     stage.reprojection.interpolates = settings_.has(PlusStep::interpolation);
     stage.has_mean_drift = settings_.has(PlusStep::mean_drift);
+    stage.has_catmull_rom = settings_.has(PlusStep::catmull_rom);
     stage.out_guides = guides_of<Storage>(guides_);
     stage.out_gradients = gradients<Storage>();
     stage.out_history_length = history_length;
@@ -238,7 +239,9 @@ void Denoiser::temporal_plus(const DenoiseInputs& inputs, float* history_length)
     stage.firefly_limit = settings_.firefly_limit;
     stage.history_fix_radius = settings_.history_fix_radius;
     stage.young_frames = settings_.has(PlusStep::local_mean) ? local_mean_frames : 0.0f;
-    stage.structure_share = settings_.has(PlusStep::structure) ? noise_structure_share : 1.0f;
+    const bool tells_structure = settings_.has(PlusStep::structure);
+    stage.structure_share = tells_structure ? noise_structure_share : 1.0f;
+    stage.neighbours_share = tells_structure ? neighbours_variance_share : 1.0f;
     constexpr float never = 1e6f;
     stage.is_unchanged = inputs.is_unchanged;
     stage.out_repaired = repaired_.data();
@@ -317,8 +320,8 @@ void Denoiser::atrous(const char* name, int level, Place from, const Sink& sink)
         stage.guides = guides_of<Storage>(guides_);
         stage.gradients = gradients<Storage>();
         stage.lattice = {level, width_, height_};
-        stage.sigma_depth = settings_.sigma_depth;
         constexpr bool plus = std::is_same_v<Method, Plus>;
+        stage.sigma_depth = plus ? settings_.plus_sigma_depth : settings_.sigma_depth;
         stage.sigma_normal = plus ? settings_.plus_sigma_normal : settings_.sigma_normal;
         stage.sigma_luminance = plus ? settings_.plus_sigma_luminance : settings_.sigma_luminance;
         stage.has_prefilter = settings_.has(PlusStep::prefilter);

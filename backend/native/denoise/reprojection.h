@@ -66,10 +66,11 @@ struct Reprojection {
         return true;
     }
 
-    // Of the four bilinear taps around a point, in rows: the weight, 0 where it did not see the surface.
+    // Of the four bilinear taps around a point, in rows: the weight, 0 where it did not see the surface. are_all: none
+    // of them saw another.
     struct Taps {
         float weight[4] = {};
-        bool are_enough = false;
+        bool are_enough = false, are_all = false;
     };
     SVGF_HD Taps weigh(const Point& point) const {
         const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
@@ -79,12 +80,15 @@ struct Reprojection {
             fy = std::floor(fy + 0.5f);
         }
         Taps taps;
+        taps.are_all = interpolates;
         float total = 0.0f;
         SVGF_UNROLL
         for (int k = 0; k < 4; ++k) {
             const int i = k % 2, j = k / 2;
             const float share = (i ? fx : 1.0f - fx) * (j ? fy : 1.0f - fy);
-            taps.weight[k] = accepts(left + i, top + j, point) ? share : 0.0f;
+            const bool accepted = accepts(left + i, top + j, point);
+            taps.weight[k] = accepted ? share : 0.0f;
+            taps.are_all = taps.are_all && accepted;
             total += taps.weight[k];
         }
         taps.are_enough = total >= least_tap_weight;

@@ -9,7 +9,7 @@ namespace svgf {
 
 // SETTING(name, type, default, minimum, maximum, unit, symbol, meaning), ranges inclusive, symbol as in the paper:
 // [Schied17] but for eaw_*, which are [Dammertz10]'s. Unless another method is named, settings are svgf's; svgf+ shares
-// sigma_depth, levels and the tolerances.
+// levels and the tolerances.
 #define SVGF_DENOISE_SETTINGS(SETTING)                                                                                 \
     SETTING(alpha, float, 0.2, 0.0, 1.0, "", "alpha",                                                                  \
             "Least weight of the new frame in the temporal mean of colour; 0 keeps the plain mean of all frames.")     \
@@ -37,7 +37,7 @@ namespace svgf {
             "svgf+: frames in a second of the sequence, or of a view as it is drawn, for history_seconds.")            \
     SETTING(history_clamp, float, 3.0, 0.0, 1e6, "standard deviations", "",                                            \
             "svgf+: how far history may be from the 3x3 new samples before it is drawn to them. 1e6: however far.")    \
-    SETTING(specular_history_clamp, float, 0.35, 0.0, 1e6, "standard deviations", "",                                  \
+    SETTING(specular_history_clamp, float, 0.4, 0.0, 1e6, "standard deviations", "",                                   \
             "svgf+: the same of the specular signal, which moves otherwise than its surface.")                         \
     SETTING(change_threshold, float, 0.2, 1e-3, 1e6, "standard deviations", "",                                        \
             "svgf+: samples this far from history, over a few frames and pixels, are a change. 1e6: nothing is.")      \
@@ -49,11 +49,13 @@ namespace svgf {
             "svgf+: brightest sample, over what history and neighbours say; what is above is cut. 1e9: nothing.")      \
     SETTING(specular_sharpness, float, 1.4, 1.0, 1e3, "", "",                                                          \
             "svgf+: the specular signal is filtered as if sigma_luminance were smaller by this.")                      \
-    SETTING(plus_sigma_luminance, float, 5.0, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
+    SETTING(plus_sigma_luminance, float, 4.5, 0.0, 1e6, "standard deviations of the mean", "sigma_l",                  \
             "svgf+: luminance differences that count as noise; larger blurs more.")                                    \
-    SETTING(plus_sigma_normal, float, 32.0, 1e-3, 1e6, "", "sigma_n",                                                  \
+    SETTING(plus_sigma_depth, float, 3.0, 0.0, 1e6, "", "sigma_z",                                                     \
+            "svgf+: depth differences that the depth gradient does not explain: larger blurs across them.")            \
+    SETTING(plus_sigma_normal, float, 20.0, 1e-3, 1e6, "", "sigma_n",                                                  \
             "svgf+: sharpness of the lobe around the normal; smaller blurs across creases.")                           \
-    SETTING(antialias_frames, float, 3.5, 1.0, 1024.0, "frames", "",                                                   \
+    SETTING(antialias_frames, float, 4.0, 1.0, 1024.0, "frames", "",                                                   \
             "svgf+: frames over which the picture is resolved where something moves. 1: not at all.")                  \
     SETTING(steps, int, 4095, 0, 4095, "", "",                                                                         \
             "svgf+: a bit for each step that no other setting switches off, to measure what it gives; see PlusStep.")  \
@@ -67,7 +69,7 @@ namespace svgf {
 // Bits of `steps`. They are looked at before a launch, or by a branch that all pixels take alike.
 enum class PlusStep : int {
     local_mean = 1,       // diffuse light begins with the mean of the 3x3 samples
-    structure = 2,        // what looks like the border of a reflection is no noise
+    structure = 2,        // what looks like structure, among the samples or in history, is no noise
     both_variances = 4,   // Eq. 5 over the larger variance of both pixels
     gloss = 8,            // rough reflections are filtered as diffuse light
     hand_over = 16,       // what stands still goes over to the mean of the noisy frames
@@ -77,7 +79,7 @@ enum class PlusStep : int {
     plane_slope = 256,    // depth gradients are those of the surface's plane, else differences of depth
     mean_drift = 512,     // changes of light are told by the mean of the 3x3 samples, else by the pixel's own
     prefilter = 1024,     // the variance is prefiltered at the first level
-    catmull_rom = 2048    // how the resolved picture is read where something moves, else bilinear
+    catmull_rom = 2048    // how history and the resolved picture are read where something moves, else bilinear
 };
 
 struct DenoiseSettings {

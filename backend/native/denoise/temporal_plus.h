@@ -6,22 +6,28 @@
 // colour the variance of the mean, which drives the filter. Every pixel has a variance from its first frame on, so no
 // stage "variance" follows.
 //
-// Departures from [Schied17]. Measured on whole pictures of 480x270, 16 frames (10) at 1 sample per pixel, all from the
-// fifth on: our own tracer's box of metal and glass and its arcade, and a gallery that Cycles rendered; relMSE, FLIP
-// and flicker over those of OIDN 2.5.1:
+// Departures from [Schied17]. Measured on whole pictures of 480x270, 16 frames (gallery 10) at 1 sample per pixel, all
+// from the fifth on: our own tracer's box of metal and glass and its arcade, a gallery and teapots that Cycles
+// rendered, and our own tracer's toys and Sponza; relMSE, FLIP and flicker over those of OIDN 2.5.1:
 //
-//   as it is (firefly limit 60)         1.50 .868 .430     0.95 0.862 .686     0.97 .784 .693
-//   one threshold for more and less     1.55 .870 .430     0.95 0.862 .686     0.98 .784 .693
-//   so, no 3x3 mean of new diffuse      1.37 .895 .445     0.94 0.992 .720        -    -    -
-//   so, structure counted as noise      1.87 .906 .324     0.97 0.848 .675        -    -    -
-//   so, threshold of change 0.3         1.64 .875 .435     0.96 0.865 .685     0.98 .784 .693
-//   and no history fix                  1.64 .877 .435     0.96 0.882 .691     0.98 .784 .693
-//   and firefly limit 20                1.33 .956 .426     1.06 1.143 .700     0.88 .820 .691
-//   and no firefly limit                2.17 .906 .446     0.95 0.835 .684      136 .784 .702
-//   and no history clamp                2.16 .878 .449     0.96 0.881 .688     1.36 .778 .688
-//   and no temporal gradient            3.28 .935 .330     0.97 0.884 .690     1.00 .779 .691
+//                              box            arcade         gallery        teapots        toys           Sponza
+//   as it is                   1.23 .88 .426  .83 .82 .662   .83 .81 .690   1.02 .82 .421  1.33 .78 .602  1.35 .83 .649
+//   no 3x3 mean of new diffus  1.20 .93 .444  .82 .89 .691   .82 .82 .694   1.02 .81 .424  1.32 .78 .604  1.26 .89 .665
+//   that for 4 frames, not 2   1.31 .87 .421  .86 .83 .658   .83 .81 .688   1.02 .82 .419  1.34 .79 .601  1.48 .83 .645
+//   no structure               1.59 .91 .344  .85 .81 .637   1.23 .75 .669  1.59 .83 .403  2.05 .82 .585  1.52 .85 .633
+//   none by history            1.27 .89 .433  .83 .82 .659   .88 .79 .683   1.17 .82 .416  1.45 .79 .598  1.36 .83 .647
+//   and history not sharp      1.28 .89 .434  .83 .82 .658   .92 .78 .682   1.29 .82 .416  1.60 .80 .598  1.36 .83 .646
+//   no variance of the pixel   1.23 .88 .426  .85 .83 .649   .84 .82 .688   1.02 .82 .417  1.34 .79 .601  1.46 .85 .644
+//   one threshold              1.27 .88 .425  .83 .82 .662   .82 .81 .690   1.02 .82 .419  1.33 .79 .602  1.35 .83 .649
+//   threshold of change 0.3    1.28 .88 .424  .83 .84 .657   .83 .81 .689   1.02 .83 .419  1.33 .79 .602  1.35 .84 .645
+//   no history fix             1.23 .88 .426  .83 .84 .666   .83 .81 .690   1.01 .82 .421  1.33 .78 .602  1.35 .84 .650
+//   firefly limit 20           1.08 .98 .418  .90 1.05 .675  .77 .86 .691   .86 .82 .419   1.15 .78 .594  1.38 1.0 .649
+//   no firefly limit           1.61 .89 .436  .82 .79 .656   74.5 .81 .697  1.12 .81 .422  1.52 .80 .608  1.39 .78 .646
+//   no history clamp           1.61 .86 .436  .83 .81 .665   1.02 .80 .705  1.05 .81 .414  2.49 .78 .586  1.37 .83 .649
+//   no temporal gradient       2.80 .95 .345  .83 .84 .655   .88 .79 .685   1.23 .83 .416  1.41 .80 .602  1.35 .84 .643
 //
-// The limit takes light where few samples find any, as in the arcade.
+// The limit takes light where few samples find any, as in the arcade. Tables below are of the time when what they weigh
+// was chosen: all else has moved on since.
 //
 // - The filter is driven by the variance of the mean, that of a sample over N, not of a sample: as history grows the
 //   filter narrows, and a still view converges to the mean of all its samples.
@@ -75,7 +81,12 @@
 //     its variance alone        1.49 2.15 .925     1.23 1.12 .894     .945 1.18 .972
 //
 // - Diffuse light begins, for `local_mean_frames`, with the mean of the 3x3 samples: where few samples find light, most
-//   pixels would begin with none, and seem to be certain of it. What moves in reflections would be blurred.
+//   pixels would begin with none, and seem to be certain of it. What moves in reflections would be blurred, and borders
+//   of shadows are, for as long as these frames are remembered: two are enough.
+// - The mean of a moving specular signal is read by Catmull-Rom, where all four pixels saw the surface: read between
+//   four pixels frame after frame, reflections of small things fade within a few. Diffuse light has borders, too
+//   (Sponza 1.44 -> 1.26), but also noise that a little blur takes off (the arcade's flicker .656 -> .666), and on an
+//   H200 reading it so costs another 0.04 ms at 1920x1080.
 // - Black reflects nothing, whatever the light: where the albedo is 0 (and so the sample), the neighbours' light stands
 //   for it, or history's, and it is no neighbour itself. Else a checkerboard of black and white, in which half of the
 //   samples are 0, comes out at half its light: balls on one, by Cycles, relMSE, FLIP and flicker over those of OIDN
@@ -87,9 +98,15 @@
 //   arcade unchanged, as what lags is on curved and turning metal. With a wider `specular_history_clamp`, 0.7, the toys
 //   have 2.28 by that point and 2.0 by the surface: so the clamp is narrow instead, and hit distances are not read.
 // - Each signal has its own history length: reflections lose theirs while the diffuse light beside them keeps it.
+// - Where the specular mean of a frame ago differs from pixel to pixel by more than its noise explains, that is
+//   structure: a share of it is taken off the variance of the samples. That of a diffuse sample is held to be less than
+//   the 3x3 samples say where the pixel's own do not stray from its history: the border of a shadow is there in every
+//   frame. Both only where something moves: still, skewed samples would pass for changes again and again, as their
+//   deviation is held to be less than it is.
 // - What stands still has no limit on its history; what moves is resampled every frame, and keeps `history_frames`.
 #pragma once
 
+#include "denoise/cubic.h"
 #include "denoise/demodulate.h"
 #include "denoise/denoiser.h"
 #include "denoise/reprojection.h"
@@ -109,10 +126,14 @@ constexpr float unknown_light = -1.0f;
 // Light that has just come counts for this much of the neighbours' mean without the brightest.
 constexpr float neighbour_share = 0.1f;
 // Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
-constexpr float local_mean_frames = 4.0f;
+constexpr float local_mean_frames = 2.0f;
 // Of a specular sample's variance: what the 3x3 samples say whatever their structure; the rest is the least of four
 // second differences, over 6 and by what makes the least of four noisy ones as large as the noise.
 constexpr float noise_structure_share = 0.06f, second_difference_scale = 2.5f / 6.0f;
+// Of a diffuse sample's variance, what the 3x3 samples say whatever the pixel's own does, and from how many frames on.
+constexpr float neighbours_variance_share = 0.3f, own_variance_frames = 2.0f;
+// Of how history differs around a place, what is taken off a specular sample's variance.
+constexpr float history_structure_share = 0.7f;
 // Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
 constexpr float narrowing_frames = 32.0f;
 // Of the specular mean's variance: how many times it is more uncertain after one frame than it seems.
@@ -140,10 +161,11 @@ struct TemporalPlus : Tiles {
     typename Storage::Color hist_color[Signals];  // in the variance's place the squared luminance after the filter
     typename Storage::Moments hist_moments[Signals];
     float history_frames, firefly_limit;
-    float young_frames, structure_share;  // see local_mean_frames and noise_structure_share
+    // See local_mean_frames, noise_structure_share and neighbours_variance_share.
+    float young_frames, structure_share, neighbours_share;
     int history_fix_radius;
     bool is_unchanged = false, is_specular[Signals], has_reflections[Signals];
-    bool has_mean_drift;  // see PlusStep
+    bool has_mean_drift, has_catmull_rom;  // see PlusStep
     float history_clamp[Signals], change_threshold[Signals];  // standard deviations
     float variance_scale[Signals];  // squared share of sigma_luminance that the signal is filtered with
     typename Storage::Guides out_guides;
@@ -202,6 +224,7 @@ private:
         bool found = false;
         Vec3 color;
         float frames = 0.0f, variance = 0.0f, filtered_light = 0.0f, drift = 0.0f;
+        float structure = 0.0f;  // variance of luminance around the place, over what its noise explains
     };
 
     // One bit for each of the pixels around, in the order of Tiles::neighbour: it shows the same surface.
@@ -241,7 +264,7 @@ private:
         SVGF_UNROLL
         for (int s = 0; s < Signals; ++s) {
             History old;
-            if (reaches) read_history(s, point, taps, old);
+            if (reaches) read_history(s, point, taps, moves, old);
             shortest = fast_min(shortest, accumulate(s, pixel, tile, place, near, old, moves));
         }
         out_history_length[pixel] = shortest;
@@ -263,7 +286,7 @@ private:
 
     // point: where the signal was a frame ago; taps: the pixels there that saw the surface.
     SVGF_HD void read_history(int s, const typename Reprojection<Storage>::Point& point,
-                              const typename Reprojection<Storage>::Taps& taps, History& old) const {
+                              const typename Reprojection<Storage>::Taps& taps, bool moves, History& old) const {
         float total = 0.0f;
         const auto take = [&](int pixel, float weight) {
             const Vec4 moments = hist_moments[s][pixel];
@@ -283,6 +306,35 @@ private:
         old.frames *= is_far ? 0.0f : scale;
         old.variance *= scale;
         old.drift = mean_drift(s, int(std::floor(point.x + 0.5f)), int(std::floor(point.y + 0.5f)));
+        if (has_catmull_rom && is_specular[s] && moves && taps.are_all) read_sharply(s, point, old);
+    }
+
+    // The mean colour by Catmull-Rom, never beyond the inner four pixels, and how history differs there.
+    SVGF_HD void read_sharply(int s, const typename Reprojection<Storage>::Point& point, History& old) const {
+        const int left = int(std::floor(point.x)), top = int(std::floor(point.y));
+        const Cubic columns(point.x - float(left)), rows(point.y - float(top));
+        const float around = luminance(old.color);  // what is squared is small
+        Vec3 color, least = {largest_float, largest_float, largest_float}, most = -1.0f * least;
+        float total = 0.0f, sum = 0.0f, squares = 0.0f;
+        SVGF_UNROLL
+        for (int j = 0; j < 4; ++j)
+            SVGF_UNROLL
+            for (int i = 0; i < 4; ++i) {
+                if (is_cubic_corner(i, j)) continue;
+                const Vec3 tap = hist_color[s][out_guides.nearest_pixel(left + i - 1, top + j - 1)].xyz();
+                const float share = columns.weight[i] * rows.weight[j], offset = luminance(tap) - around;
+                total += share;
+                color += share * tap;
+                sum += offset;
+                squares += square(offset);
+                if (is_cubic_side(i) || is_cubic_side(j)) continue;
+                least = min(least, tap);
+                most = max(most, tap);
+            }
+        old.color = min(max(color * fast_reciprocal(total), least), most);
+        constexpr float share = 1.0f / float(cubic_taps);
+        const float spread = squares * share - square(sum * share);
+        old.structure = fast_max(spread - old.variance * fast_reciprocal(fast_max(old.frames, 1.0f)), 0.0f);
     }
 
     // Of nine pixels, whatever they show.
@@ -330,7 +382,14 @@ private:
             squares += near.has(n) ? square(fast_min(lights[n], limit) - local_light) : 0.0f;
         // A pixel without neighbours is as uncertain as it is bright.
         float spread = near.count > 0 ? squares * fast_reciprocal(float(near.count)) : square(own_light);
-        if (is_specular[s]) spread = noise_without_structure(spread, own_light, lights, limit, near);
+        if (is_specular[s]) {
+            spread = noise_without_structure(spread, own_light, lights, limit, near);
+            spread = fast_max(spread - history_structure_share * old.structure, structure_share * spread);
+        } else if (moves && old.frames >= own_variance_frames) {
+            const float own = square(own_light - luminance(old.color));
+            const float unbiased = own * (old.frames * fast_reciprocal(old.frames + 1.0f));
+            spread = fast_min(spread, neighbours_share * spread + unbiased);
+        }
 
         // Light that has changed. kept: share of history that is not replaced by the 3x3 samples' mean.
         const float doublings = fast_max(fast_log2(fast_max(old.frames, 1.0f) * (1.0f / threshold_frames)), 0.0f);

@@ -68,7 +68,7 @@ STEPS: dict[str, dict[str, Changes]] = {
         "gloss": _without(PlusStep.GLOSS),
         "both variances": _without(PlusStep.BOTH_VARIANCES),
         "variance prefilter": _without(PlusStep.PREFILTER),
-        "depth weight": {"sigma_depth": 1e6},
+        "depth weight": {"plus_sigma_depth": 1e6},
         "normal weight": {"plus_sigma_normal": 1e-3},
         "luminance weight": {"plus_sigma_luminance": 1e6},
         "a-trous levels 3 to 5": {"levels": 2},

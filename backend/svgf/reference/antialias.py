@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..settings import PlusStep
+from .cubic import catmull_rom, cubic_taps, linear
 from .guides import namespace
 
 # Box in standard deviations of the 3x3 pixels: of the moving, and of the still picture, with a margin in brightness.
 MOVING_BOX = 1.0
 # Of the geometric mean of brightness, where something moves: where the average begins to compress.
-MOVING_WHITE = 16.0
+MOVING_WHITE = 12.0
+# Of that, where history is read between pixels.
+INTERPOLATION_WHITE = 0.25
 STILL_BOX = 4.0
 STILL_MARGIN = 0.02
 STILL_FRAMES = 24.0
@@ -66,10 +69,10 @@ def antialias(
     white = _white(colors) * xp.where(still, 1.0, MOVING_WHITE)
 
     def map_(c: Any) -> Any:
-        return c / (white[..., None] + c.max(axis=-1, keepdims=True) + 1e-30)
+        return _compress(c, white)
 
     def unmap(c: Any) -> Any:
-        return xp.maximum(c, 0.0) * white[..., None] / xp.maximum(1.0 - c.max(axis=-1, keepdims=True), 1e-4)
+        return _expand(c, white)
 
     mapped = xp.stack([map_(c) for c in colors])
     mean, deviation = mapped.mean(axis=0), mapped.std(axis=0)
@@ -81,7 +84,9 @@ def antialias(
     if history is not None:
         left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
         past_linear = xp.where(reachable[..., None], history.color[top, left], 0.0)  # where nothing moves
-        past, frames = _between(map_, history, x, y, settings.has(PlusStep.CATMULL_ROM))
+        between, frames = _between(history, x, y, INTERPOLATION_WHITE * white, settings.has(PlusStep.CATMULL_ROM))
+        exact = (x == left) & (y == top)
+        past = map_(xp.where(exact[..., None], past_linear, between))
         past, frames = xp.where(reachable[..., None], past, 0.0), xp.where(reachable, frames, 0.0)
 
     known = frames > 0.5
@@ -122,44 +127,29 @@ def antialias(
     return Resolved(resolved, n)
 
 
-def _between(map_: Any, history: Resolved, x: Any, y: Any, is_catmull_rom: bool) -> tuple[Any, Any]:
-    """The mapped history [H, W, 3] at places inside the frame: Catmull-Rom without the corners of the 4x4 pixels and
-    never beyond the inner four, or bilinear; and the frames [H, W] in it, bilinear."""
+def _between(history: Resolved, x: Any, y: Any, white: Any, is_catmull_rom: bool) -> tuple[Any, Any]:
+    """The history's color [H, W, 3] at places inside the frame, averaged after ``_compress``: Catmull-Rom, never beyond
+    the inner four pixels, or bilinear; and the frames [H, W] in it, bilinear."""
     xp = namespace(x)
-    height, width = x.shape
-    left, top = xp.floor(x).astype(int), xp.floor(y).astype(int)
+    least, most = xp.full(history.color.shape, xp.inf), xp.full(history.color.shape, -xp.inf)
+    total, color = xp.zeros(x.shape), xp.zeros(history.color.shape)
+    for at, share, is_inner in cubic_taps(x, y, catmull_rom if is_catmull_rom else linear):
+        compressed = _compress(history.color[at], white)
+        total, color = total + share, color + share[..., None] * compressed
+        if is_inner:
+            least, most = xp.minimum(least, compressed), xp.maximum(most, compressed)
+    frames = sum(share * history.frames[at] for at, share, is_inner in cubic_taps(x, y, linear) if is_inner)
+    return _expand(xp.clip(color / total[..., None], least, most), white), frames
 
-    def cubic(t: Any) -> list[Any]:
-        return [
-            0.5 * t * ((2.0 - t) * t - 1.0),
-            1.0 + t * t * (1.5 * t - 2.5),
-            0.5 * t * ((4.0 - 3.0 * t) * t + 1.0),
-            0.5 * t * t * (t - 1.0),
-        ]
 
-    def linear(t: Any) -> list[Any]:
-        return [xp.zeros(t.shape), 1.0 - t, t, xp.zeros(t.shape)]
+def _compress(color: Any, white: Any) -> Any:
+    """color [H, W, 3] to [0, 1): half of it where it is as bright as white [H, W]."""
+    return color / (white[..., None] + color.max(axis=-1, keepdims=True) + 1e-30)
 
-    weights = cubic if is_catmull_rom else linear
-    columns, rows = weights(x - left), weights(y - top)
-    between = (x != left) | (y != top)
-    total, color, frames = xp.zeros(x.shape), xp.zeros((*x.shape, 3)), xp.zeros(x.shape)
-    least, most = xp.full(color.shape, xp.inf), xp.full(color.shape, -xp.inf)
-    for j in range(4):
-        for i in range(4):
-            is_inner = i in (1, 2) and j in (1, 2)
-            if i in (0, 3) and j in (0, 3):
-                continue
-            at = xp.clip(top + j - 1, 0, height - 1), xp.clip(left + i - 1, 0, width - 1)
-            share, mapped = columns[i] * rows[j], map_(history.color[at])
-            total, color = total + share, color + share[..., None] * mapped
-            if is_inner:
-                counts = (between | (share != 0.0))[..., None]
-                least = xp.where(counts, xp.minimum(least, mapped), least)
-                most = xp.where(counts, xp.maximum(most, mapped), most)
-                near = (x - left if i == 2 else 1.0 - (x - left)) * (y - top if j == 2 else 1.0 - (y - top))
-                frames = frames + near * history.frames[at]
-    return xp.clip(color / total[..., None], least, most), frames
+
+def _expand(color: Any, white: Any) -> Any:
+    xp = namespace(color)
+    return xp.maximum(color, 0.0) * white[..., None] / xp.maximum(1.0 - color.max(axis=-1, keepdims=True), 1e-4)
 
 
 def _white(colors: Any) -> Any:

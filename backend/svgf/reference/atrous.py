@@ -92,7 +92,7 @@ def atrous_plus(
     for j in (-1, 0, 1):
         for i in (-1, 0, 1):
             dx, dy = i * 2**level, j * 2**level
-            w_geometry = edge_weight(guides, dx, dy, settings.sigma_depth, 0.0)
+            w_geometry = edge_weight(guides, dx, dy, settings.plus_sigma_depth, 0.0)
             if (dx, dy) != (0, 0):
                 _, normal = tap(dx, dy, guides.normal)
                 cosine = (guides.normal * normal).sum(axis=-1)

@@ -47,6 +47,13 @@ class Reprojection:
                 share = (right if i else 1.0 - right) * (below if j else 1.0 - below)
                 yield left + i, top + j, xp.where(self._accepts(left + i, top + j), share, 0.0)
 
+    def saw_all(self) -> Any:
+        """bool [H, W]: all four bilinear taps saw the surface."""
+        xp = namespace(self.x)
+        left, top = xp.floor(self.x).astype(int), xp.floor(self.y).astype(int)
+        accepted = [self._accepts(left + i, top + j) for j in (0, 1) for i in (0, 1)]
+        return accepted[0] & accepted[1] & accepted[2] & accepted[3] & self.interpolates
+
     def neighbours(self, spacing: int = 1) -> Iterator[tuple[Any, Any, Any]]:
         """(column, row, 1 or 0) of the 3x3 pixels around the nearest one, `spacing` pixels apart."""
         xp = namespace(self.x)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..settings import PlusStep
+from .cubic import catmull_rom, cubic_taps
 from .guides import Guides, luminance, namespace, tap
 from .reprojection import LEAST_TAP_WEIGHT, Reprojection, reproject
 
@@ -24,11 +25,15 @@ THRESHOLD_FRAMES = 16.0
 # Of the threshold, for light that is less than history says, and its rise.
 FALL_SHARE, FALL_SHARE_RISE = 0.75, 0.0625
 # Frames in the mean up to which the 3x3 samples' mean takes a sample's place.
-YOUNG_FRAMES = 4.0
+YOUNG_FRAMES = 2.0
 # Of a specular sample's variance, what the 3x3 samples say whatever their structure; and what makes the least of four
 # second differences as large as the variance of noise.
 STRUCTURE_SHARE = 0.06
 SECOND_DIFFERENCE_SCALE = 2.5 / 6.0
+# Of a diffuse sample's variance, what the 3x3 samples say whatever the pixel's own does, and from how many frames on.
+NEIGHBOURS_VARIANCE_SHARE, OWN_VARIANCE_FRAMES = 0.3, 2.0
+# Of how history differs around a place, what is taken off a specular sample's variance.
+HISTORY_STRUCTURE_SHARE = 0.7
 # Where nothing changes: frames beyond which the filter narrows faster than the noise falls.
 NARROWING_FRAMES = 32.0
 # How many times the specular mean is more uncertain after one frame than it seems.
@@ -89,7 +94,7 @@ def temporal_plus(
     surface = guides.surface
     none = [xp.zeros(shape) for _ in illumination]
     old_color, old_frames, old_variance, expected = [xp.zeros((*shape, 3)) for _ in illumination], none, none, none
-    drifts = none
+    drifts, structure = none, none
     found, moves, repaired = xp.zeros(shape, bool), xp.zeros(shape, bool), 0
     if history is not None and settings.has(PlusStep.HISTORY):
         point = replace(
@@ -101,6 +106,14 @@ def temporal_plus(
         moves = point.reachable & ((point.x != columns) | (point.y != rows))
         found, (old_color, old_frames, old_variance, expected) = _read(point, history, settings.history_fix_radius)
         drifts = [xp.where(found, _around(point, image), 0.0) for image in history.drift]
+        structure = list(none)
+        is_sharp = found & moves & point.saw_all() & settings.has(PlusStep.CATMULL_ROM)
+        for s in range(len(illumination)):
+            if is_specular[s]:
+                color, spread = _read_sharply(point, history.color[s])
+                old_color[s] = xp.where(is_sharp[..., None], color, old_color[s])
+                own_noise = old_variance[s] / xp.maximum(old_frames[s], 1.0)
+                structure[s] = xp.where(is_sharp, xp.maximum(spread - own_noise, 0.0), 0.0)
 
     around = _neighbours(illumination, guides, settings.normal_tolerance)
     colors, frames, variances, new_drifts, changes, spreads = [], [], [], [], [], []
@@ -141,7 +154,13 @@ def temporal_plus(
         if is_specular[s]:
             least = _least_second_difference(luminance(sample), [luminance(color) for color in taps], near)
             noise = xp.minimum(spread, SECOND_DIFFERENCE_SCALE * least)
-            spread = noise + (STRUCTURE_SHARE if settings.has(PlusStep.STRUCTURE) else 1.0) * (spread - noise)
+            share = STRUCTURE_SHARE if settings.has(PlusStep.STRUCTURE) else 1.0
+            spread = noise + share * (spread - noise)
+            spread = xp.maximum(spread - HISTORY_STRUCTURE_SHARE * structure[s], share * spread)
+        elif settings.has(PlusStep.STRUCTURE):
+            own = (luminance(sample) - luminance(old_color[s])) ** 2 * (old_frames[s] / (old_frames[s] + 1.0))
+            narrower = xp.minimum(spread, NEIGHBOURS_VARIANCE_SHARE * spread + own)
+            spread = xp.where(moves & (old_frames[s] >= OWN_VARIANCE_FRAMES), narrower, spread)
 
         # Light that has changed.
         doublings = xp.maximum(xp.log2(xp.maximum(old_frames[s], 1.0) / THRESHOLD_FRAMES), 0.0)
@@ -227,6 +246,20 @@ def _around(point: Reprojection, image: Any) -> Any:
     steps = (-DRIFT_SPACING, 0, DRIFT_SPACING)
     taps = [image[xp.clip(y + dy, 0, height - 1), xp.clip(x + dx, 0, width - 1)] for dy in steps for dx in steps]
     return sum(taps) / len(taps)
+
+
+def _read_sharply(point: Reprojection, color: Any) -> tuple[Any, Any]:
+    """color [H, W, 3] at the point by Catmull-Rom, never beyond the inner four pixels; the variance [H, W] of the
+    luminance of the pixels that are read."""
+    xp = namespace(color)
+    least, most = xp.full(color.shape, xp.inf), xp.full(color.shape, -xp.inf)
+    total, mean, lights = 0.0, 0.0, []
+    for at, share, is_inner in cubic_taps(point.x, point.y, catmull_rom):
+        total, mean = total + share, mean + share[..., None] * color[at]
+        lights.append(luminance(color[at]))
+        if is_inner:
+            least, most = xp.minimum(least, color[at]), xp.maximum(most, color[at])
+    return xp.clip(mean / total[..., None], least, most), xp.stack(lights).var(axis=0)
 
 
 def _read(point: Reprojection, history: HistoryPlus, radius: int) -> tuple[Any, tuple[list[Any], ...]]:
