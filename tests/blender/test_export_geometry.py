@@ -23,7 +23,6 @@ from blend import (
     validate,
 )
 from svgf.errors import InputError
-from svgf.scene import RayVisibility
 from svgf_blender.export import Exporter, export_file
 from svgf_blender.export.instances import object_ids
 

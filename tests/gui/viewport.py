@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import bpy
 import numpy as np
 from mathutils import Quaternion
-from window import override, picture, play, session, settled, space, start_engine
+from window import override, picture, play, session, settled, space, start_engine, views
 from svgf_blender.viewport.picture import OVERLAYS
 
 draw_times: list[float] = []
