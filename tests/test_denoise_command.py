@@ -102,6 +102,29 @@ def test_inputs_are_in_the_denoisers_convention(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("lit,roughness", [(0.9, 0.1), (0.5, 0.25), (0.2, 0.4)])
+def test_reflections_that_light_rarely_finds_are_filtered_as_rough(
+    tmp_path: Path, lit: float, roughness: float
+) -> None:
+    """An object at a time, by the share of its specular samples that are black; one that reflects nothing is sharp."""
+
+    def darken(frame: int, passes: Passes) -> None:
+        card = passes["Object Index"][..., 0] == 7
+        found = np.zeros(card.sum(), bool)
+        found[: round(lit * found.size)] = True
+        for lobe in ("Glossy", "Transmission"):
+            passes[f"{lobe} Color"][:] = 0.0
+        passes["Glossy Color"][card] = 0.5
+        for part in ("Direct", "Indirect"):
+            passes[f"Glossy {part}"][card] = found[:, None]
+
+    path = Format(change=darken).write(tmp_path / "a.exr", 1)
+    images = layer_inputs(MultilayerImage(path), Reading("ViewLayer", light_passes=True, motion=True)).images
+    card = images["object_id"] == 8
+    np.testing.assert_allclose(images["roughness"][card], roughness, atol=0.02)
+    np.testing.assert_allclose(images["roughness"][~card], 0.1)
+
+
 def test_motion_that_is_rounding_is_none(tmp_path: Path) -> None:
     def tremble(frame: int, passes: Passes) -> None:
         passes["Vector"] += np.float32(1e-4)
